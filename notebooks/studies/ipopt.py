@@ -368,7 +368,7 @@ class PlanProblem:
         options = self._options
         N = self._N
         Q = np.array(options["q"])
-        QN = np.array(options.get("qn", options.get("qn_factor", 10.0) * Q))
+        QN = np.array(options.get("qn", options.get("qn_factor", 1.0) * Q))
         off = (nodes - x_ref)[:, 1:] ** 2
         cost = ca.dot(ca.repmat(Q, 1, N), off) + ca.dot(QN - Q, off[:, -1])
         cost += ca.dot(ca.repmat(self._of_commands("r"), 1, N), (u - u_ref) ** 2)

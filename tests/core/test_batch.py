@@ -66,7 +66,7 @@ def one(single, arguments):
     single.prepare()
     result = single.feedback(*arguments)
     parts = [*result] if isinstance(result, tuple) else [result]
-    return [*parts, *([single.ok, single.kkt] if hasattr(single, "ok") else [])]
+    return [*parts, *([single.ok, single.kkt] if hasattr(single, "kkt") else [])]
 
 
 def assert_same_bits(batch, make, samples, restarted_at=9, **tolerance):

@@ -168,6 +168,25 @@ def test_what_the_rule_amplifies_is_refused_and_the_sentence_helps(virtual_machi
     rhec.RHE(model=motor(), dt=0.02, horizon=5, **NOISE)
 
 
+@pytest.mark.parametrize("bounds", [(0.1, 200.0), (-np.inf, 200.0)])
+def test_what_the_rule_amplifies_within_the_bounds_of_a_parameter_is_refused(
+    virtual_machine, bounds
+):
+    """There the estimate would stay where the rule is stable, far from the truth."""
+    names = dict(states="x", inputs="u", outputs=("x", "u"), f=lambda x, u, p: p[0] * (u - x))
+    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0, 0), guess=(0, 1), sigma_guess=(1, 30), dt=0.1)
+    proposed = r"by 5.51e\+03 at k = 200, its bound, .* steps=8 or .* rule='radau3'"
+    narrow = rhec.Model(**names, parameters=dict(k=(0.1, 25.0)))
+    wide = dict(names, parameters=dict(k=bounds))
+    rhec.RHE(model=narrow, horizon=5, **noise)
+    with pytest.raises(ValueError, match=proposed):
+        rhec.RHE(model=rhec.Model(**wide), horizon=5, **noise)
+    with pytest.raises(ValueError, match=proposed):
+        rhec.RHC(model=rhec.Model(**wide), q=[1], r=[1], dt=0.1, horizon=5).step([0.0], [1.0])
+    for accepted in (dict(steps=8), dict(rule="radau3")):
+        rhec.RHE(model=rhec.Model(**wide, **accepted), horizon=5, **noise)
+
+
 def test_a_controller_refuses_at_its_first_sample(virtual_machine):
     rhc = rhec.RHC(model=motor(), command=("set",), q=(1.0,), r=(1.0,), dt=0.1, horizon=4)
     problem = dict(x=[0.0], p=[], x_ref=np.zeros((1, 5)), u_ref=np.zeros((1, 4)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from rhec.core.solver.interior_point import MAX_ITERATIONS, Shape, interior_point
+from rhec.core.solver.interior_point import MAX_ITERATIONS, NO_PRICE, Shape, interior_point
 
 # (intervals, states, inputs, rows, of these soft)
 SIZES = [(6, 3, 2, 3, 1), (8, 4, 1, 4, 0), (6, 2, 2, 3, 3)]
@@ -92,6 +92,70 @@ def test_solutions_of_random_qps_are_those_of_qpoases(size):
             np.testing.assert_allclose(z, expected, rtol=0, atol=1e-6 * max(1, np.abs(z).max()))
             iterations.append(float(solution["iterations"]))
     assert len(iterations) >= 8 and max(iterations) <= 20 < MAX_ITERATIONS
+
+
+def qp_without_prices(rng, N, n, m, rows, far=2):
+    """A random QP whose inputs have hard bounds, and whose rows have no price, for both solvers.
+
+    Half of them are moved, so that z = 0 exceeds their bounds. For qpOASES all rows are hard.
+    """
+    qp, _ = random_qp(rng, N, n, m, rows, 0)
+    moved = (rng.random() < 0.5) * far * rng.normal(size=(N + 1, rows, 1))
+    unit = np.eye(n + m)[n:]
+    given = dict(qp, G=[np.vstack([unit * (k < N), qp["G"][k]]) for k in range(N + 1)])
+    for name, limit in (("lower", -0.8), ("upper", 0.8)):
+        rows_of = [np.where(np.abs(b) < 1e19, b + by, b) for b, by in zip(qp[name], moved)]
+        given[name] = [np.vstack([np.full((m, 1), limit), b]) for b in rows_of]
+    return given, dict(linear=np.full(rows, NO_PRICE), quadratic=np.zeros(rows))
+
+
+def excess_of(given, z):
+    """How far each row is exceeded at each node by z (n + m, N+1): (rows, N+1)."""
+    values = np.hstack([G @ each for G, each in zip(given["G"], z.T[..., None])])
+    over = np.maximum(values - np.hstack(given["upper"]), np.hstack(given["lower"]) - values)
+    return np.maximum(over, 0)
+
+
+NO_SOFT_ROWS = dict(linear=np.zeros(0), quadratic=np.zeros(0))
+
+
+def test_rows_without_a_price_are_hard_ones_wherever_they_can_be_kept():
+    """Then z is that of qpOASES with hard rows; elsewhere it is solved, and tells the excess."""
+    rng, (N, n, m, rows, _) = np.random.default_rng(6), SIZES[0]
+    solve = solver(N, n, m, m + rows, rows)
+    kept = []
+    for _ in range(20):
+        given, prices = qp_without_prices(rng, N, n, m, rows)
+        feasible, expected = by_qpoases(given, NO_SOFT_ROWS)
+        found = solve(**{name: np.hstack(parts) for name, parts in given.items()}, **prices)
+        assert found["ok"] == 1
+        excess = np.array(found["excess"])[:, 0]
+        assert np.all(excess == 0) == feasible
+        kept.append(feasible)
+        if feasible:
+            np.testing.assert_allclose(found["z"], expected, rtol=0, atol=2e-6)
+        over = excess_of(given, np.array(found["z"])).max(axis=1)
+        np.testing.assert_allclose(excess, over[m:], rtol=0, atol=1e-5)
+        assert np.all(over[:m] <= 1e-7)
+    assert 5 <= sum(kept) <= 15
+
+
+def test_what_cannot_be_kept_is_exceeded_as_little_as_possible():
+    """The sum of a row's excess is the least there is, as qpOASES finds with that cost alone."""
+    rng, (N, n, m, _, _) = np.random.default_rng(6), SIZES[0]
+    solve = solver(N, n, m, m + 1, 1)
+    checked = 0
+    for _ in range(20):
+        given, prices = qp_without_prices(rng, N, n, m, 1, far=30)
+        if by_qpoases(given, NO_SOFT_ROWS)[0]:
+            continue
+        alone = dict(H=[1e-9 * np.eye(n + m)] * (N + 1), g=[0 * g for g in given["g"]])
+        _, best = by_qpoases(given | alone, dict(linear=np.ones(1), quadratic=np.zeros(1)))
+        found = solve(**{name: np.hstack(parts) for name, parts in given.items()}, **prices)
+        least = excess_of(given, best)[m:].sum()
+        assert excess_of(given, np.array(found["z"]))[m:].sum() <= 1.001 * least + 1e-6
+        checked += 1
+    assert checked >= 3
 
 
 @pytest.mark.parametrize("other", [-1.0, -1e20])

@@ -830,7 +830,7 @@ def test_the_command_refuses_in_a_sentence(tmp_path):
             ("-p", "sped_mps", "1"),
             "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?\n",
         ),
-        (("-p", "r", "ten"), "r was 'ten'; it should be a valid number\n"),
+        (("-p", "r", "ten"), "r was 'ten'; it should be a number\n"),
     ):
         done = subprocess.run(
             command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT

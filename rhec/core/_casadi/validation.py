@@ -4,7 +4,6 @@ Pydantic does the checking.
 """
 
 import functools
-import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
@@ -25,6 +24,8 @@ NotNegative = Annotated[Real, Field(ge=0)]
 Reals = Annotated[tuple[Real, ...], _listed]
 Positives = Annotated[tuple[Positive, ...], _listed]
 NotNegatives = Annotated[tuple[NotNegative, ...], _listed]
+_one_or_more = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
+Names = Annotated[tuple[str, ...], _one_or_more]  # one name need not be in a tuple
 Whole = Annotated[int, Field(strict=True), _plain]
 Steps = Annotated[Whole, Field(ge=0, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]
@@ -57,11 +58,39 @@ def sentence_of(name, fields, error):
             wanted = first["ctx"]["max_length"]
         message = f"it should have {wanted} entries"
     else:
-        # Large limits are easier to read as powers of ten.
-        message = re.sub(r"\d{9,}", lambda digits: f"{float(digits[0]):g}", first["msg"])
-        message = message.replace("Input", "it", 1)
+        message = _expected(first)
     where = parameter + "".join(f"[{entry}]" for entry in inner)
     return f"{where} was {shown(first['input'])}; {message}"
+
+
+# What pydantic's kinds of errors ask for, with the numbers and words of their context.
+_EXPECTED = {
+    "bool_type": "True or False",
+    "dataclass_type": "a {class_name}",
+    "dict_type": "a dict",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "int_type": "a whole number",
+    "is_instance_of": "a {class}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+    "string_type": "text",
+    "tuple_type": "a tuple or a list",
+}
+
+
+def _expected(error):
+    """What a value should be, as a clause."""
+    if error["type"] not in _EXPECTED:
+        return error["msg"].replace("Input", "it", 1)
+    words = {
+        # Large limits are easier to read as powers of ten.
+        name: f"{value:.12g}" if isinstance(value, float) and abs(value) >= 1e9 else value
+        for name, value in error.get("ctx", {}).items()
+    }
+    return f"it should be {_EXPECTED[error['type']].format(**words)}"
 
 
 def shown(value, length=200):

@@ -4,11 +4,16 @@
          + ½ Σ_{i=0..N-1} (‖u_r,i - u_i‖²_R + ‖u_i - u_{i-1}‖²_{R_Δ} + ‖y_r,i - y_i‖²_{Q_y})
          + ½ ‖y_r,N - y_N‖²_{Q_N,y} + Σ price(t)
     s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), y_i = h(x_i, u_i, p̂),
-         lower - t ≤ row ≤ upper + t of commands, states, outputs and changes u_i - u_{i-1}
+         lower - t ≤ row ≤ upper + t of states, outputs and changes u_i - u_{i-1},
+         lower ≤ u_i ≤ upper
 
 As in `rhc`, one Gauss-Newton step a sample, with all weights as full matrices. Its QP is solved by
 `interior_point`, in changes of (x, u) from the plan rolled out from the new estimate. With weights
 or bounds of changes, the last commands are states, too. u_{-1} is the command of the sample before.
+
+Hard bounds of states, outputs and changes are soft ones whose price the QP chooses, so high that
+they are exceeded where they cannot be kept, and nowhere else. Then `ok` is 0, and the commands
+lead back as fast as their own bounds allow.
 
 A state is bounded from node 1 on, because no command moves node 0. An output that depends on a
 command is bounded and weighed at the nodes 0 … N-1, any other one at the nodes 1 … N.
@@ -26,7 +31,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.controller.horizon import Horizon, build_roll_out, planned
 from rhec.core.model.limits import MAX_QP_ENTRY
-from rhec.core.solver.interior_point import Shape, interior_point
+from rhec.core.solver.interior_point import NO_PRICE, Shape, interior_point
 from rhec.core.solver.relaxation import relaxation
 
 
@@ -44,7 +49,6 @@ class Row(NamedTuple):
 
     kind: Kind
     place: int
-    soft: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +75,7 @@ class ConstrainedHorizon(NamedTuple):
 
     plain: Horizon
     outputs: Outputs
-    rows: tuple[Row, ...]  # the hard ones first
+    rows: tuple[Row, ...]  # those of all commands first
     has_changes: bool  # whether changes of commands have weights or bounds
 
     @property
@@ -91,8 +95,20 @@ class ConstrainedHorizon(NamedTuple):
 
     @property
     def n_soft(self):
-        """Number of soft rows."""
-        return sum(row.soft for row in self.rows)
+        """Number of rows that may be exceeded: all but those of the commands."""
+        return len(self.rows) - self.n_c
+
+    @property
+    def soft_names(self):
+        """Names of these rows, as `bounds` and `delta_bounds` have them."""
+        model = self.plain.model
+        commands = [model.inputs[place] for place in self.plain.command]
+        names = {Kind.STATE: model.states, Kind.OUTPUT: self.outputs.names, Kind.CHANGE: commands}
+        what = {Kind.CHANGE: "the change of "}
+        return tuple(
+            what.get(row.kind, "") + repr(names[row.kind][row.place])
+            for row in self.rows[self.n_c :]
+        )
 
     @property
     def memory(self):
@@ -138,7 +154,8 @@ class ConstrainedStages:
     """
 
     tolerance = ("decrease", "complementarity")
-    reported = ("iterations",)
+    taken = "solved"
+    reported = ("iterations", "excess")
 
     def __init__(self, horizon):
         plain = horizon.plain
@@ -184,7 +201,9 @@ class ConstrainedStages:
         rows = at_plan["rows"]
         solution = self._solve(**qp, lower=ends - rows, upper=tops - rows)
         z = solution["z"]
-        results = {name: solution[name] for name in ("complementarity", "ok", "iterations")}
+        results = {name: solution[name] for name in ("complementarity", "iterations", "excess")}
+        solved = solution["ok"]
+        results |= dict(solved=solved, ok=solved * (ca.sum1(solution["excess"]) == 0))
         results["decrease"] = ca.fabs(ca.dot(at_plan["g"], z))
         return dict(change=z[horizon.n :, : horizon.plain.N]) | results
 
@@ -427,10 +446,9 @@ def _build_cost(horizon):
         cost_N, rows_N = node(*end, QN, nothing, at_end, nothing)
         rows = ca.horzcat(rows, rows_N)
         lower, upper = bounds_of_nodes(horizon, bounds)
-        t = ca.fmax(ca.fmax(rows - upper, lower - rows), 0)[len(horizon.rows) - horizon.n_soft :, :]
-        price = (
-            ca.dot(bounds["linear"], ca.sum2(t)) + ca.dot(bounds["quadratic"], ca.sum2(t**2)) / 2
-        )
+        t = ca.fmax(ca.fmax(rows - upper, lower - rows), 0)[horizon.n_c :, :]
+        linear = ca.if_else(bounds["linear"] < NO_PRICE, bounds["linear"], 0)
+        price = ca.dot(linear, ca.sum2(t)) + ca.dot(bounds["quadratic"], ca.sum2(t**2)) / 2
         return dict(cost=ca.sum2(costs) + cost_N + price)
 
     return cost

@@ -29,6 +29,16 @@ class Horizon(NamedTuple):
         return self
 
     @property
+    def has_changes(self):
+        """Whether changes of commands have weights or bounds: here not."""
+        return False
+
+    @property
+    def soft_names(self):
+        """Names of what a plan may exceed: here nothing."""
+        return ()
+
+    @property
     def n_x(self):
         """Length of the state x."""
         return len(self.model.states)

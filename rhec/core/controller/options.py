@@ -13,6 +13,7 @@ from rhec.core.controller.constrained import ConstrainedHorizon, Kind, Outputs, 
 from rhec.core.controller.horizon import Horizon
 from rhec.core.model.base import Model
 from rhec.core.model.limits import MAX_QP_ENTRY
+from rhec.core.solver.interior_point import NO_PRICE
 
 _DEFINITE = -1e-9  # smallest eigenvalue of a weight, relative to its largest
 
@@ -233,29 +234,26 @@ def _bounds_of(options, outputs):
                 f"the prices of {name!r} in terminal_bounds were {bound.prices}; they should be "
                 f"those in bounds, {path[name].prices}"
             )
+    path = bounds_of("state_bounds", options.model.state_bounds, options.model.states) | path
     change = bounds_of("delta_bounds", options.delta_bounds, options.command)
     return dict(path=path, end=end, change=change)
 
 
 def _rows_of(options, outputs, bounds):
-    """The rows, hard ones first and of these the commands, and their numbers by name."""
+    """The rows, those of all commands first, and their numbers by name."""
     path = bounds["path"]
     end = bounds["end"]
     entries = []  # (Row, Bound along the horizon, Bound at its end)
     for place, name in enumerate(options.command):
-        entries.append((Row(Kind.COMMAND, place, False), path.get(name, NONE), NONE))
+        entries.append((Row(Kind.COMMAND, place), path.get(name, NONE), NONE))
     kinds = ((Kind.STATE, options.model.states), (Kind.OUTPUT, outputs.names))
     for kind, names in kinds:
         for place, name in enumerate(names):
             if name in path or name in end:
                 along = path.get(name, NONE)
-                last = end.get(name, along)
-                soft = along.is_soft or last.is_soft
-                entries.append((Row(kind, place, soft), along, last))
+                entries.append((Row(kind, place), along, end.get(name, along)))
     for name, bound in bounds["change"].items():
-        row = Row(Kind.CHANGE, options.command.index(name), bound.is_soft)
-        entries.append((row, bound, NONE))
-    entries.sort(key=lambda entry: entry[0].soft)  # stable: the commands stay first
+        entries.append((Row(Kind.CHANGE, options.command.index(name)), bound, NONE))
     rows, along, last = zip(*entries)
     numbers = dict(
         lower=[bound.lowest for bound in along],
@@ -263,7 +261,9 @@ def _rows_of(options, outputs, bounds):
         lower_N=[bound.lowest for bound in last],
         upper_N=[bound.highest for bound in last],
     )
-    pairs = [a if a.is_soft else b for row, a, b in entries if row.soft]
-    prices = np.array([bound.prices for bound in pairs]).reshape(-1, 2).T
+    n_c = len(options.command)
+    priced = [a if a.is_soft else b for a, b in zip(along[n_c:], last[n_c:])]
+    prices = [bound.prices if bound.is_soft else (NO_PRICE, 0.0) for bound in priced]
+    prices = np.reshape(prices, (-1, 2)).T
     numbers = {name: np.clip(value, *_LIMITS) for name, value in numbers.items()}
     return rows, numbers | dict(zip(("linear", "quadratic"), prices))

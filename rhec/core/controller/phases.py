@@ -9,6 +9,8 @@ What differs is an object, `PlainStages` (only commands are bounded) or `Constra
 - `command_bounds(inputs)`: lowest and highest commands, (n_c, 1) each;
 - `remember(u)`: what the memory keeps of the last sample's plan besides;
 - `tolerance`: the inputs of `kkt`, which gives the KKT tolerance after the feedback;
+- `taken`: the name of the result of `solve` that tells whether the plan takes the change, which may
+  be one that is not `ok`;
 - `reported`: names of results of `solve` that a step returns besides;
 - `search`: the Function that takes a share of an iteration's step, or None.
 """
@@ -37,7 +39,7 @@ def build(horizon, stages):
     phases = dict(shift=_build_shift(horizon, stages), linearise=linearise)
     phases |= dict(feedback=feedback, expand=expand)
     if stages.search:
-        phases[IMPROVE] = _build_improve(horizon, stages.search, phases)
+        phases[IMPROVE] = _build_improve(horizon, stages, phases)
     return phases | dict(step=_build_step(horizon, stages, phases))
 
 
@@ -93,17 +95,19 @@ def _build_expand(horizon, stages, feedback):
     """The predicted states of the new plan, and the KKT tolerance of the linearisation point."""
     plain = horizon.plain
     references = {name: plain.references[name] for name in ("s_0", "u_ref")}
-    results = ("u_plan", *stages.tolerance, "ok")
+    results = ("u_plan", *stages.tolerance, stages.taken)
     shapes = horizon.memory | plain.dynamics | references
     shapes |= {name: feedback.sparsity_out(name) for name in results}
 
-    @short_cut("ok")
+    @short_cut(stages.taken)
     @casadi_function("rhc_expand", plain.loops, **shapes)
-    def expand(s, u, F, D, B, s_0, u_ref, u_plan, ok, **inputs):
+    def expand(s, u, F, D, B, s_0, u_ref, u_plan, **inputs):
+        taken = inputs.pop(stages.taken)
         kept = {name: inputs.pop(name) for name in horizon.memory if name not in ("s", "u")}
-        kkt = ca.if_else(ok, stages.kkt(u, u_ref, u_plan, **inputs), ca.DM.nan())
+        kkt = ca.if_else(taken, stages.kkt(u, u_ref, u_plan, **inputs), ca.DM.nan())
         predicted = ca.horzcat(*stages.roll_out(s, u, F, D, B, s_0, u_plan))
-        return dict(s=states_after(plain, ok, predicted, s, s_0), u=u_plan) | kept | dict(kkt=kkt)
+        after = states_after(plain, taken, predicted, s, s_0)
+        return dict(s=after, u=u_plan) | kept | dict(kkt=kkt)
 
     return expand
 
@@ -122,12 +126,13 @@ def _build_step(horizon, stages, phases):
     return step
 
 
-def _build_improve(horizon, search, phases):
+def _build_improve(horizon, stages, phases):
     """One iteration without shift: linearise, feedback, expand, and a share of their step.
 
     Where the QP was not solved, what expand leaves stays; the iteration after one that moved
     nothing, either, would be the same.
     """
+    search = stages.search
     unknowns = horizon.plain.memory
     shapes = horizon.memory | horizon.weights | horizon.data
 
@@ -137,14 +142,14 @@ def _build_improve(horizon, search, phases):
         steps = {f"{name}_full": full[name] for name in unknowns}
         known = values | dict(kkt=full["kkt"], penalty=penalty) | steps
         chosen = search(**select_inputs(search, known))
-        ok = values["ok"]
+        taken = values[stages.taken]
         moved = ca.norm_inf(ca.veccat(*(full[name] - inputs[name] for name in unknowns)))
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= {name: full[name] for name in (*horizon.memory, "kkt")}
-        outputs |= {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
+        outputs |= {name: ca.if_else(taken, chosen[name], full[name]) for name in unknowns}
         outputs["u_plan"] = outputs["u"]
-        flags = dict(converged=chosen["converged"] * ok)
-        flags["done"] = ca.if_else(ok, chosen["done"], moved == 0)
+        flags = dict(converged=chosen["converged"] * taken, ok=values["ok"] * chosen["near"])
+        flags["done"] = ca.if_else(taken, chosen["done"], moved == 0)
         return outputs | flags | dict(penalty_after=chosen["penalty_after"])
 
     return improve

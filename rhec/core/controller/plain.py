@@ -30,6 +30,7 @@ class PlainStages:
     """
 
     tolerance = ("g", "least", "most", "multipliers")
+    taken = "ok"
     reported = ()
 
     def __init__(self, horizon, doublings=DOUBLINGS):

@@ -27,7 +27,8 @@ from rhec.core.controller.options import Options, problem_of
 from rhec.core.controller.plain import PlainStages
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
 
 FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
 
@@ -54,14 +55,17 @@ class RHC(RealTimeLoop):
 
     Args:
         model: The robot, a rhec.Model.
-        command: Names of the inputs that are commanded; the others follow their reference.
+        command: Names of the inputs that are commanded; the others follow their reference. None:
+            all inputs.
         q: Weights Q of the states, or the matrix Q (n_x, n_x).
         r: Weights R of the commanded inputs, in the order of `command`, or the matrix R. 0 is
             allowed where other weights decide the command.
         dt: Length of a sample [s].
         horizon: Intervals N of the prediction.
         bounds: (lowest, highest) or a rhec.Bound of commanded inputs, states and outputs, by name;
-            what has no entry is free. States are bounded from the next sample on.
+            what has no entry is free, but for the model's `state_bounds`. States are bounded from
+            the next sample on. Bounds of commands are always kept. Where other hard ones cannot
+            be, the plan exceeds them by as little as it can, and `ok` is False.
         qn_factor: Q_N = qn_factor · Q, for states and outputs.
         qn: Weights Q_N of the states at the end of the horizon, instead of qn_factor · Q.
         outputs: Quantities that are weighed or bounded: names of the model's outputs, or a dict
@@ -69,7 +73,8 @@ class RHC(RealTimeLoop):
         q_y: Weights of the outputs, or a matrix. By default 0.
         qn_y: Weights of the outputs at the end of the horizon, instead of qn_factor · q_y.
         r_delta: Weights of the changes u_i - u_{i-1} of the commanded inputs, or a matrix. Before
-            the first sample the commands were 0, or the nearest number within their bounds.
+            the first sample the commands were 0, or the nearest number within their bounds, unless
+            `feedback` or `restart` says `u_before`.
         delta_bounds: Bounds of the changes, by the name of the commanded input.
         terminal_bounds: Bounds of states and outputs at the horizon's end, instead of `bounds`.
 
@@ -78,19 +83,20 @@ class RHC(RealTimeLoop):
     """
 
     _initial: InitialPlan | None = None
+    _before: np.ndarray | None = None  # the commands before the first sample, as `restart` was told
 
     @valid.checked
     def __init__(
         self,
         *,
         model: Model,
-        command: tuple[str, ...],
+        command: valid.Names | None = None,
         q: Weights,
         r: Weights,
         dt: valid.Positive,
         horizon: valid.Intervals,
         bounds: Bounds = None,
-        qn_factor: valid.NotNegative = 10.0,
+        qn_factor: valid.NotNegative = 1.0,
         qn: OptionalWeights = None,
         outputs: OutputsByName = None,
         q_y: OptionalWeights = None,
@@ -101,6 +107,7 @@ class RHC(RealTimeLoop):
     ):
         weights = dict(q=q, r=r, qn_factor=qn_factor, qn=qn, q_y=q_y, qn_y=qn_y, r_delta=r_delta)
         limits = dict(bounds=bounds, delta_bounds=delta_bounds, terminal_bounds=terminal_bounds)
+        command = model.inputs if command is None else command
         given = dict(model=model, command=command, dt=dt, horizon=horizon, outputs=outputs)
         self._options = Options(**given, **weights, **limits)
         self._load(self._problem_of(self._options))
@@ -154,7 +161,7 @@ class RHC(RealTimeLoop):
         n_c = len(self.problem.command)  # they are the first rows of all that are bounded
         return self.settings["lower"][:n_c], self.settings["upper"][:n_c]
 
-    def restart(self, u_plan: Any = None, x_plan: Any = None) -> None:
+    def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
 
         Without a plan it starts from a robot that stays where it is, with no inputs.
@@ -164,11 +171,14 @@ class RHC(RealTimeLoop):
                 inputs that are not commanded follow `u_ref`.
             x_plan: (n_x, N+1) or (n_x,) predicted states, which need not follow from the inputs;
                 node 0 gets the state of the sample. None: those to which the inputs lead.
+            u_before: (n_u,) inputs before the next sample, from which the changes are counted.
 
         Raises:
-            ValueError: If a plan has another shape, or an entry that is no number.
+            ValueError: If an argument has another shape, or an entry that is no number.
         """
+        before = self._commands_before(u_before)
         self._initial = initial_plan(self.problem, u_plan, x_plan)
+        self._before = before
         self.iteration.restart()
 
     def update(self, **changes: Any) -> None:
@@ -198,6 +208,18 @@ class RHC(RealTimeLoop):
         self.iteration.set(self.iteration.arrays, self.settings)
 
     @property
+    def status(self) -> str:
+        """Why the last step was not `ok`, as a sentence; empty if it was."""
+        if self.ok:
+            return ""
+        for name, excess in zip(self.structure.soft_names, self.iteration.arrays.get("excess", ())):
+            if excess:
+                return f"the bounds of {name} cannot be kept; the plan exceeds them by {excess:.3g}"
+        if np.isnan(self.kkt):
+            return "the QP was not solved; the plan before goes on"
+        return "the iterations ended far from a solution; more of them would help"
+
+    @property
     def bounds(self) -> dict:
         """Bounds by name, as they were given last."""
         return dict(self._options.bounds or {})
@@ -219,31 +241,48 @@ class RHC(RealTimeLoop):
             f"R {numbers['R']}, bounds {numbers['lower']} to {numbers['upper']}"
         )
 
-    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None) -> Any:
+    def feedback(
+        self,
+        x: Any,
+        p: Any = (),
+        x_ref: Any = None,
+        u_ref: Any = 0.0,
+        y_ref: Any = None,
+        u_before: Any = None,
+    ) -> Any:
         """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
             x_ref: (n_x, N+1) desired states; node 0 is now and has no weight. Or (n_x,), if they
-                are the same at all nodes.
-            u_ref: (n_u, N) or (n_u,) desired inputs. Inputs that are not commanded are expected to
-                follow it, such as known signals. Where an entry is not finite, the last plan goes
-                on, and `ok` is False.
-            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
+                are the same at all nodes, or one number for all. None: the last ones, at first 0.
+            u_ref: (n_u, N), (n_u,) or one desired input. Inputs that are not commanded are expected
+                to follow it, such as known signals. Where an entry is not finite, the last plan
+                goes on, and `ok` is False.
+            y_ref: (n_y, N+1), (n_y,) or one desired output; None: the last ones, at first 0.
+            u_before: (n_u,) inputs that were applied in the interval before, from which changes are
+                counted. None, or an entry that is not finite: the first ones of the last plan.
 
         Returns:
             (n_u,) inputs of the first interval.
         """
         is_first = not self.iteration.started
-        self._set_problem(x, p, x_ref, u_ref, y_ref)
+        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
         if is_first:
             self.iteration.improve_first(FIRST_ITERATIONS)
         self.iteration.feedback()
         return self.u_plan[:, 0]
 
     def solve(
-        self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: int = 20, y_ref: Any = None
+        self,
+        x: Any,
+        p: Any = (),
+        x_ref: Any = None,
+        u_ref: Any = 0.0,
+        iterations: int = 20,
+        y_ref: Any = None,
+        u_before: Any = None,
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
@@ -253,30 +292,46 @@ class RHC(RealTimeLoop):
         Args:
             x: (n_x,) estimated state.
             p: (n_p,) estimated parameters.
-            x_ref: (n_x, N+1) or (n_x,) desired states.
-            u_ref: (n_u, N) or (n_u,) desired inputs.
+            x_ref: Desired states, as in `feedback`.
+            u_ref: Desired inputs, as in `feedback`.
             iterations: Gauss-Newton steps, at most.
-            y_ref: (n_y, N+1) or (n_y,) desired outputs; None: the last ones, at first 0.
+            y_ref: Desired outputs, as in `feedback`.
+            u_before: Inputs of the interval before, as in `feedback`.
 
         Returns:
             (n_u,) inputs of the first interval.
         """
-        self._set_problem(x, p, x_ref, u_ref, y_ref)
+        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
-    def _set_problem(self, x, p, x_ref, u_ref, y_ref):
+    def _set_problem(self, x, p, x_ref, u_ref, y_ref, u_before):
         """Copy the new data in; references that are constant are repeated along the horizon."""
-        given = dict(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
-        if y_ref is not None:
-            if "y_ref" not in self._inputs:
-                valid.refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
-            given["y_ref"] = y_ref
+        before = self._before if u_before is None else self._commands_before(u_before)
+        given = dict(x=x, p=p, u_ref=u_ref)
+        given |= {k: v for k, v in dict(x_ref=x_ref, y_ref=y_ref).items() if v is not None}
+        if "y_ref" in given and "y_ref" not in self._inputs:
+            valid.refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
         for name, value in given.items():
             array = self._inputs[name]
-            if array.ndim == 2 and np.shape(value) == array.shape[:1]:
-                given[name] = np.repeat(np.reshape(value, (-1, 1)), array.shape[1], axis=1)
+            if array.ndim == 2 and np.shape(value) in ((), array.shape[:1]):
+                given[name] = np.broadcast_to(np.reshape(value, (-1, 1)), array.shape)
         self._set_inputs(**given)
+        if before is not None:
+            is_number = np.abs(before) <= MAX_PLAUSIBLE_STATE
+            np.copyto(self.iteration.current["before"], before, where=is_number)
+            self._before = None
+
+    def _commands_before(self, u_before):
+        """The commands (n_c,) among the inputs (n_u,) that were applied before, or None."""
+        if u_before is None:
+            return None
+        if not self.structure.has_changes:
+            expected = "it should be None, since changes have neither weights nor bounds"
+            valid.refuse("u_before was", u_before, expected)
+        u = np.zeros(self.problem.n_u)
+        copy_checked("u_before", u_before, u)
+        return u[list(self.problem.command)]
 
     def _start(self):
         # There is no previous plan: start from a given one, or a robot that stays where it is.

@@ -46,6 +46,8 @@ def noise_of(model, sigma_v, sigma_w):
     sigma_v (n_z,) are standard deviations of the measurements, sigma_w (n_x + n_p,) those of the
     process noise per sample.
     """
+    if not model.outputs:
+        raise ValueError("outputs of the model was (); an estimator needs at least one")
     of_length("sigma_v", sigma_v, len(model.outputs), "output")
     settings = dict(V=np.square(sigma_v), W=variances_w(model, sigma_w))
     if model.motion_noise:
@@ -88,7 +90,8 @@ def joint_guess(model, guess, sigma):
     if max(np.square([*sigma.values()])) >= MAX_PLAUSIBLE_STATE:
         limit = MAX_PLAUSIBLE_STATE**0.5
         values = tuple(sigma.values())
-        raise ValueError(f"sigma_guess was {shown(values)}; each should be below {limit:g}")
+        expected = f"each should be below {limit:g}, if need be in larger units"
+        raise ValueError(f"sigma_guess was {shown(values)}; {expected}")
     every = (model.state_bounds or {}) | dict(model.parameters)
     for name, bounds in every.items():
         if bounds and not bounds[0] <= guess[name] <= bounds[1]:

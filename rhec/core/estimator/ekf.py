@@ -18,6 +18,7 @@ from rhec.core.estimator.filter import Filter, Noise, where_defined
 from rhec.core.model import base
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.solver.rti import copy_checked
 
 
@@ -83,6 +84,24 @@ class EKF:
 
     def prepare(self) -> None:
         """Do nothing: the filter does all its work in `feedback`."""
+
+    def step(self, z: Any) -> Any:
+        """Estimate from the newest measurement: `feedback`, by the name that RHE and RHC have.
+
+        Args:
+            z: (n_z,) measurements; an entry that is not finite counts as missing.
+
+        Returns:
+            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
+        """
+        return self.feedback(z)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the last estimate and its covariance are made of plausible numbers."""
+        results = self._call.results
+        numbers = np.concatenate([results["estimate"], results["covariance"]])
+        return bool(np.all(np.abs(numbers) <= MAX_PLAUSIBLE_STATE))
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement.

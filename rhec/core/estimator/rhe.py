@@ -474,7 +474,9 @@ def _split(window, z, noises, filtered, constrained):
     z = ca.horzsplit(z)
     measured = [(z[i], *window.at(i, **noises).values()) for i in range(window.N + 1)]
     widths = (1, interval.n_s, interval.n_v, len(interval.outputs), 1)
-    F, D, B, K, e = map(ca.horzsplit, filtered, widths)
+    # A model without inputs has a B of no width.
+    ends = ([i * width for i in range(window.N + 1)] for width in widths)
+    F, D, B, K, e = map(ca.horzsplit, filtered, ends)
     updates = list(zip([*K, constrained.K_N], [*e, constrained.e_N]))
     return measured, updates, list(zip(F, D, B))
 
@@ -668,7 +670,7 @@ def _build_improve(window, phases):
         estimate = ca.if_else(shortened, ca.vertcat(*newest.values()), values["estimate"])
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= full | moved | dict(estimate=estimate, converged=chosen["converged"] * ok)
-        outputs["done"] = chosen["done"] * ok
+        outputs |= dict(done=chosen["done"] * ok, ok=ok * chosen["near"])
         return outputs | dict(penalty_after=chosen["penalty_after"])
 
     return improve
@@ -761,8 +763,6 @@ class RHE(RealTimeLoop):
         robust: valid.Flag = False,
         noise_in_window: valid.Flag = False,
     ):
-        if not model.inputs:
-            raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
@@ -843,18 +843,19 @@ class RHE(RealTimeLoop):
 
         Nodes before the first sample are where the robot was then.
         """
-        s = self._expanded("s", self.model.n_s)
+        s = self._expanded("s", self.model.n_s, self.window.N + 1)
         return s[: len(self.model.states)]
 
     @property
     def u_window(self) -> np.ndarray:
         """Inputs (n_u, N) of the window's intervals, as estimated."""
-        return self._expanded("v", self.window.interval.n_v)[: len(self.model.inputs)]
+        v = self._expanded("v", self.window.interval.n_v, self.window.N)
+        return v[: len(self.model.inputs)]
 
-    def _expanded(self, name, n_rows):
+    def _expanded(self, name, n_rows, n_columns):
         # They are not needed for the newest estimate, so feedback leaves them to expand.
         self.iteration.expand()
-        return self.iteration.previous[name].reshape((n_rows, -1), order="F").copy()
+        return self.iteration.previous[name].reshape((n_rows, n_columns), order="F").copy()
 
     def _set_noise(self, sigma_w):
         if self.window.noisy:

@@ -147,8 +147,8 @@ def _build_qp(window, loops):
 
     @casadi_function("rhe_window_qp", ca.MX, **pieces, **sparse, **best, noises=window.noises)
     def qp(s, v, z, P, F, D, B, s_best, v_best, noises):
-        widths = (1, 1, 1, 1, n, n_v)
-        s, v, z, F, D, B = map(ca.horzsplit, (s, v, z, F, D, B), widths)
+        s, v, z, F, D = map(ca.horzsplit, (s, v, z, F, D), (1, 1, 1, 1, n))
+        B = ca.horzsplit(B, [i * n_v for i in range(N + 1)])  # of no width without inputs
         at = [[*window.at(i, **noises).values()] for i in range(N + 1)]
         closed = _closed(window, s, F, D)
         inputs = [whitened(B[i], v[i], z[i + 1], *at[i + 1]) for i in range(N)]

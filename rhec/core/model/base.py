@@ -9,7 +9,7 @@ which that output is measured: s = (x, held inputs, p).
 import functools
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -50,11 +50,12 @@ class Model:
     """A robot, or any other system, whose motion can be written down in a few lines.
 
     Args:
-        states: Names of the states x, such as "x_m".
+        states: Names of the states x, such as "x_m". A single name need not be in a tuple; this
+            holds for inputs, outputs and angles, too.
         inputs: Names of the inputs u, which act over an interval: measured, commanded, or both.
         parameters: {name: (lowest, highest)} of the parameters p; {name: None} without bounds.
-        outputs: Names of the outputs z. An output named like a state, input or parameter measures
-            just that.
+        outputs: Names of the outputs z, which an estimator needs. An output named like a state,
+            input or parameter measures just that.
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,), as one
             column or as a list. An argument can be unpacked: `a, b = x`.
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
@@ -75,9 +76,9 @@ class Model:
     """
 
     states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    parameters: Mapping[str, tuple[float, float] | None]
-    outputs: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
+    parameters: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
+    outputs: tuple[str, ...] = ()
     f: Callable[[Any, Any, Any], Any]
     h: Callable[[Any, Any, Any], Any] | None = None
     max_measurement: tuple[float, ...] | None = None
@@ -89,6 +90,8 @@ class Model:
     state_bounds: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("states", "inputs", "outputs", "angles"):
+            object.__setattr__(self, name, _names_of(name, getattr(self, name)))
         _check_names(self)
         if not callable(self.f) or not callable(self.h or self.f):
             problem = f"f was {shown(self.f)}, h {shown(self.h)}"
@@ -97,8 +100,8 @@ class Model:
         _check_bounds(self.parameters)
         _check_state_bounds(self)
         _check_limits(self.max_measurement, len(self.outputs))
-        if not isinstance(self.angles, tuple) or not set(self.angles) <= set(self.outputs):
-            refuse("angles was", self.angles, "it should be a tuple of names of outputs")
+        if not set(self.angles) <= set(self.outputs):
+            refuse("angles was", self.angles, f"it should name some of {self.outputs}")
         if not isinstance(self.motion_noise, MotionNoise | None):
             refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
@@ -112,7 +115,7 @@ class Model:
             f"Model\n    states:     {', '.join(self.states)}"
             f"\n    inputs:     {', '.join(self.inputs) or 'none'}"
             f"\n    parameters: {', '.join(parameters) or 'none'}"
-            f"\n    outputs:    {', '.join(self.outputs)}"
+            f"\n    outputs:    {', '.join(self.outputs) or 'none'}"
         )
 
     @property
@@ -152,7 +155,8 @@ class Model:
             outputs = ca.vertsplit(h(*symbols))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
-        return ca.Function("h", symbols, [ca.vertcat(*(values[name] for name in self.outputs))])
+        z = (values[name] for name in self.outputs)
+        return ca.Function("h", symbols, [ca.vertcat(ca.SX(0, 1), *z)])
 
     @functools.cached_property
     def key(self) -> str:
@@ -260,21 +264,28 @@ def _noise_function(model):
     return ca.Function("noise", [u, R, W, dt_s, c], [mean, variances, process])
 
 
+def _names_of(field, names):
+    """Names as a tuple, from a tuple, a list, or one name."""
+    if isinstance(names, str):
+        return (names,)
+    if not isinstance(names, tuple | list):
+        refuse(f"{field} was", names, "it should be a tuple of names, or one name")
+    return tuple(names)
+
+
 def _check_names(model):
-    for field in ("states", "inputs", "outputs"):
-        names = getattr(model, field)
-        if not isinstance(names, tuple) or not names and field != "inputs":
-            refuse(f"{field} was", names, "it should be a tuple of names")
+    if not model.states:
+        refuse("states was", model.states, "it should be a tuple of names, or one name")
     if not isinstance(model.parameters, Mapping):
         refuse("parameters was", model.parameters, "it should be a dict of names to bounds or None")
-    fields = {"states, inputs, parameters": model.names, "outputs": model.outputs}
-    for field, names in fields.items():
+    named = {"states, inputs, parameters": model.names, "outputs": model.outputs}
+    for where, names in named.items():
         for name in names:
             if not isinstance(name, str) or not name.isidentifier():
                 expected = "it should be a word of letters, digits and _, such as 'x_m'"
-                refuse(f"a name in {field} was", name, expected)
+                refuse(f"a name in {where} was", name, expected)
             if names.count(name) > 1:
-                raise ValueError(f"{name!r} was twice in {field}; a name should be there once")
+                raise ValueError(f"{name!r} was twice in {where}; a name should be there once")
 
 
 def _check_integration(model):

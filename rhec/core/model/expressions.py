@@ -1,5 +1,7 @@
 """A user's functions of a Model, as CasADi Functions, or refused in a sentence."""
 
+import math
+
 import casadi as ca
 
 from rhec.core._casadi.validation import shown
@@ -38,4 +40,16 @@ def function_of(name, function, symbols, *sizes):
     free = [s.name() for s in ca.symvar(value) if not ca.depends_on(known, s)]
     if free:
         raise ValueError(f"{problem}, with {free[0]!r} free; it should depend on x, u and p alone")
-    return ca.Function(name, symbols, [ca.densify(ca.vec(value))], ["x", "u", "p"], [name])
+    result = ca.Function(name, symbols, [ca.densify(ca.vec(value))], ["x", "u", "p"], [name])
+    if _has_nan(result):
+        expected = "it should use CasADi's functions, such as ca.sin in place of math.sin"
+        raise ValueError(f"{problem}, which is no number whatever x, u and p are; {expected}")
+    return result
+
+
+def _has_nan(function):
+    """Whether a Function contains NaN as a constant, which a math function makes of a symbol."""
+    return any(
+        function.instruction_id(i) == ca.OP_CONST and math.isnan(function.instruction_constant(i))
+        for i in range(function.n_instructions())
+    )

@@ -12,6 +12,8 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+
 Rule = Literal["rk4", "radau3", "radau5"]
 RULES = ("rk4", "radau3", "radau5")
 STAGES = {"radau3": 2, "radau5": 3}  # of the implicit rules; the order is twice that, minus one
@@ -154,7 +156,10 @@ def _solve_by_states(matrix, right, n_x):
 
 
 def refuse_unstable_step(model, x, u, p, dt_s):
-    """Refuse a Model whose rule lets grow, at this point, what the model itself does not.
+    """Refuse a Model whose rule lets grow what the model itself does not.
+
+    It is checked at this point, and at it with each parameter at either of its bounds: an estimate
+    would not find out by itself, since beside an interval that grows any other fits better.
 
     The modes λ are the eigenvalues of ∂f/∂x at (x, u, p). A classical Runge-Kutta interval of k
     substeps multiplies them by R(λ dt_s/k)^k, the model by e^(λ dt_s). The implicit rules and
@@ -165,7 +170,17 @@ def refuse_unstable_step(model, x, u, p, dt_s):
     """
     if model.discrete or model.rule != "rk4":
         return
-    by_x = np.array(model.slopes(x, u, p))
+    points = {"the first guess": list(p)}
+    for place, (name, bounds) in enumerate(model.parameters.items()):
+        for bound in bounds or ():
+            if abs(bound) <= MAX_PLAUSIBLE_STATE:
+                points[f"{name} = {bound:g}, its bound"] = [*p[:place], bound, *p[place + 1 :]]
+    for where, parameters in points.items():
+        _refuse_growth(model, np.array(model.slopes(x, u, parameters)), dt_s, where)
+
+
+def _refuse_growth(model, by_x, dt_s, where):
+    """Refuse the Model if its rule lets grow, with this ∂f/∂x, what the model does not."""
     if not np.all(np.isfinite(by_x)):
         return
     modes = np.linalg.eigvals(by_x) * dt_s
@@ -177,7 +192,7 @@ def refuse_unstable_step(model, x, u, p, dt_s):
     more = f"steps={enough} or " if enough else ""
     raise ValueError(
         f"dt was {dt_s:g}; in that time Runge-Kutta with steps={model.steps} multiplies an error of"
-        f" the state by {growth:.3g} at the first guess, where the model damps it: a Model with"
+        f" the state by {growth:.3g} at {where}, where the model damps it: a Model with"
         f" {more}the implicit rule='radau3' would help"
     )
 

@@ -4,6 +4,11 @@
     s.t. z_k = (x_k, u_k), x_0 = 0, x_{k+1} = A_k x_k + B_k u_k,
          lower_k - t ≤ G_k z_k ≤ upper_k + t, with t ≥ 0 for soft rows and t = 0 for hard ones
 
+A soft row without a price is one that has to be kept, if it can be: it gets a linear price so far
+above any multiplier that its solution is that of a hard row, where there is one (an exact penalty,
+Fletcher, "Practical Methods of Optimization", 1987, Sec. 14.3). With hard rows on inputs alone the
+QP therefore always has a solution.
+
 Mehrotra's predictor and corrector ("On the Implementation of a Primal-Dual Interior Point Method",
 1992; by stages: Rao, Wright, Rawlings, "Application of Interior-Point Methods to Model Predictive
 Control", 1998). An iteration factorises once by a Riccati recursion, and solves twice with it; the
@@ -35,8 +40,12 @@ _ACCEPTED = 1e-7  # mean of λ s and γ t, and error of the rows, of an `ok` sol
 _ACCEPTED_GAIN = 1e-14
 _TO_BOUNDARY = 0.995  # share of the way to the nearest boundary that a step may go
 _NEAREST = 0.1  # smallest first distance to a bound, as a share of the row's largest
-_PROXIMAL = 1e-5  # δ relative to the inverse of the cost's curvature along a row
+_PROXIMAL = 1e-5  # δ relative to the compliance of a row
 _LEAST_GAIN = 1e-6
+_LEAST_SCALE = 1e-3  # smallest scale of a row, as a share of the way that the free QP moves it
+_OWN_PRICE = 1e3  # over the least slope that moves a row as the free QP does
+_KEPT = 1e-6  # excess of a row without a price, relative to its scale, up to which it is kept
+NO_PRICE = MAX_QP_ENTRY
 _TINY = 1e-300  # avoids a division by zero
 _NO_BOUND = 0.1 * MAX_QP_ENTRY
 
@@ -95,8 +104,8 @@ class Shape(NamedTuple):
 
     @property
     def price(self):
-        """Shapes of the prices of the excess, and of δ, which are the same at all nodes."""
-        return dict(linear=self.soft, quadratic=self.soft, delta=self.side)
+        """Shapes of the excess' prices, of δ and of the rows' scales, which hold at all nodes."""
+        return dict(linear=self.soft, quadratic=self.soft, delta=self.side, widest=self.side)
 
     @property
     def point(self):
@@ -134,16 +143,17 @@ def interior_point(shape, loops):
     """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, ok, …).
 
     It takes D, B, H, g, G, lower and upper of the nodes 0 … N side by side, and the prices
-    (n_soft,) of the soft rows; a bound of ±1e20 is none. Where the QP is not solved, ok and z
-    are 0.
+    (n_soft,) of the soft rows; a bound of ±1e20 is none, and so is a linear price of 1e20. Where
+    the QP is not solved, ok and z are 0.
 
     Args:
         shape: The Shape of the QP.
         loops: SX or MX, for Functions that repeat a stage.
 
     Returns:
-        The Function. Its results are z (n + m, N+1), ok, the number of iterations, and
-        complementarity = Σ λ |b + t|, which is 0 at a solution z = 0.
+        The Function. Its results are z (n + m, N+1), ok, the number of iterations,
+        complementarity = Σ λ |b + t|, which is 0 at a solution z = 0, and excess (n_soft,): how far
+        rows without a price, which has to be kept, are exceeded; 0 for the others.
     """
     problem = shape.of_all_nodes(shape.stage) | shape.price
     one = (1, 1)
@@ -167,14 +177,15 @@ def interior_point(shape, loops):
             quadratic=ca.repmat(quadratic, 2, 1),
         )
         begin = start(**stages)
-        end = search(**stages, delta=begin.pop("delta"), **begin)
+        end = search(**stages | begin)
         accepted = ca.vertcat(end["gap"], end["error"], end["gain"] * _ACCEPTED / _ACCEPTED_GAIN)
         # The comparisons are also 0 where a number is none.
         ok = every(ca.fabs(accepted) <= _ACCEPTED) * every(ca.fabs(end["z"]) < MAX_QP_ENTRY)
         distance = _bounded(stages["b"])[1] + _of_all_sides(shape, end["t"])
         complementarity = ca.sum1(ca.vec(end["lam"] * ca.fabs(distance)))
         results = dict(z=ca.if_else(ok, end["z"], 0), ok=ok, iterations=end["iterations"])
-        return results | dict(complementarity=complementarity)
+        excess = _excess(shape, stages, begin["widest"], end["t"])
+        return results | dict(complementarity=complementarity, excess=excess)
 
     return solve
 
@@ -188,6 +199,14 @@ def _bounded(b):
 def _of_all_sides(shape, t):
     """The excess at all sides, from that at the soft ones."""
     return ca.vertcat(ca.DM.zeros(shape.n_hard, t.size2()), t)
+
+
+def _excess(shape, stages, widest, t):
+    """The largest excess of each soft row that has no price; 0 where rounding explains it."""
+    there, _ = _bounded(stages["b"])
+    exceeded = _largest(there[shape.n_hard :, :] * t)
+    counts = (stages["linear"] >= _NO_BOUND) * (exceeded > _KEPT * widest[shape.n_hard :])
+    return ca.fmax(*ca.vertsplit(counts * exceeded, shape.n_soft)) if shape.n_soft else ca.DM(0, 1)
 
 
 def _largest(numbers):
@@ -210,44 +229,73 @@ def _widest(shape, b):
 
 
 def _build_start(shape, loops):
-    """The first point: z = 0, and λ s = γ t = scale, a cost that the QP may gain.
+    """The first point: z = 0, with λ s = γ t, and what stays the same: prices, δ, scales.
 
-    That is the cost that the QP without bounds gains, and what it costs to leave each row whose
-    bound is exceeded at z = 0. `start` also chooses δ.
+    `scale` is the cost that the QP without bounds gains, and what it costs to leave each row whose
+    bound is exceeded at z = 0; all that ends the search is relative to it. λ s = γ t is that, and
+    the price of the excess at z = 0.
     """
     shapes = shape.of_all_nodes(shape.stage)
     shapes |= dict(linear=shape.soft, quadratic=shape.soft)
-    factor = _build_factor(shape)
-    vector = _build_vector(shape)
-    curved = _build_curvature(shape)
+    without_bounds = _build_without_bounds(shape)
 
     @casadi_function("qp_start", loops, **shapes)
     def start(**given):
         there, b = _bounded(given["b"])
-        cost = 0
-        curvature = ca.DM.zeros(*shape.side)
-        P = ca.DM.zeros(shape.n, shape.n)
-        p = ca.DM.zeros(shape.n)
-        for stage in reversed(shape.by_node(shape.stage, given)):
-            cost, curvature = curved(cost, curvature, P, *select_inputs(curved, stage).values())
-            P, *policy = factor(P, ca.DM.zeros(*shape.side), *select_inputs(factor, stage).values())
-            p, _, cost = vector(p, cost, stage["g"], stage["D"], stage["B"], *policy)
-        scale = cost + _TINY
-        widest = _widest(shape, b)
-        delta = _PROXIMAL / (curvature + 1e-3 * scale / widest**2)
-        nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
+        stages = shape.by_node(shape.stage, given)
+        cost, compliance = without_bounds(stages)
+        stiffness = ca.if_else(compliance > _TINY, 1 / ca.fmax(compliance, _TINY), 0)
+        scale = cost + ca.dot(stiffness, ca.sum2(ca.fmin(b, 0) ** 2)) / 2 + _hidden(stages) + _TINY
+        # A bound that rounding alone keeps away, such as at rest on it, has no scale of its own.
+        free_way = ca.sqrt(scale * compliance)
+        widest = ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way)
+        own = _OWN_PRICE * ca.sqrt(scale * stiffness[shape.n_hard :])
+        price = dict(linear=ca.if_else(given["linear"] < _NO_BOUND, given["linear"], own))
+        price |= dict(quadratic=given["quadratic"])
+        linear, quadratic = (ca.repmat(each, 1, shape.N + 1) for each in price.values())
         soft = there[shape.n_hard :, :]
+        exceeded = soft * ca.fmax(-b[shape.n_hard :, :], 0)
+        first = scale + ca.dot(linear, exceeded) + ca.dot(quadratic, exceeded**2) / 2
+        # A multiplier grows up to its price or the own one, and δ has to be small beside that, too.
+        highest = ca.vertcat(ca.DM.zeros(shape.n_hard), ca.fmin(price["linear"], own))
+        steepness = highest / (widest + free_way)
+        delta = _PROXIMAL / (stiffness + 1e-3 * first / widest**2 + steepness)
+        nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
         near = nearest[shape.n_hard :, :]
         # If a price is high, λ s = γ t needs a small t, but not where the bound is exceeded.
-        linear, quadratic = (ca.repmat(given[n], 1, shape.N + 1) for n in ("linear", "quadratic"))
-        t = ca.fmax(scale / (linear + quadratic * near + scale / near), -b[shape.n_hard :, :])
-        gam = ca.fmax(scale / t, linear + quadratic * t)
+        t = ca.fmax(first / (linear + quadratic * near + first / near), exceeded)
+        gam = ca.fmax(first / t, linear + quadratic * t)
         s = ca.if_else(there, ca.fmax(b + _of_all_sides(shape, t), nearest), 1)
-        point = dict(z=ca.DM.zeros(shape.n + shape.m, shape.N + 1), s=s, lam=there * scale / s)
+        point = dict(z=ca.DM.zeros(shape.n + shape.m, shape.N + 1), s=s, lam=there * first / s)
         point |= dict(t=ca.if_else(soft, t, 1), gam=ca.if_else(soft, gam, 1))
-        return point | dict(delta=delta, scale=scale, gap=1, error=1, gain=1, iterations=0)
+        constant = price | dict(delta=delta, widest=widest)
+        return constant | point | dict(scale=scale, gap=1, error=1, gain=1, iterations=0)
 
     return start
+
+
+def _build_without_bounds(shape):
+    """A function of the stages: what the QP without bounds gains, and each row's compliance."""
+    factor = _build_factor(shape)
+    vector = _build_vector(shape)
+    comply = _build_compliance(shape)
+
+    def without_bounds(stages):
+        cost = 0
+        P = ca.DM.zeros(shape.n, shape.n)
+        p = ca.DM.zeros(shape.n)
+        policies = [None] * len(stages)
+        for k, stage in reversed(list(enumerate(stages))):
+            P, *policy = factor(P, ca.DM.zeros(*shape.side), *select_inputs(factor, stage).values())
+            p, _, cost = vector(p, cost, stage["g"], stage["D"], stage["B"], *policy)
+            policies[k] = policy
+        W = ca.DM.zeros(shape.n, shape.n)
+        compliance = ca.DM.zeros(*shape.side)
+        for stage, policy in zip(stages, policies):
+            W, compliance = comply(W, compliance, *select_inputs(comply, stage).values(), *policy)
+        return cost, compliance
+
+    return without_bounds
 
 
 def _build_search(iterate, problem, state):
@@ -263,9 +311,10 @@ def _build_search(iterate, problem, state):
         def search(**inputs):
             after = once(**inputs)
             unless_ended = ca.Function.if_else(f"{name}_or_not", ended, once)
-            worst = ca.fmax(
-                ca.fmax(after["gap"], after["error"]) - _CONVERGED, after["gain"] - _OPTIMAL
-            )
+            # Where rounding keeps the error of a row, more iterations would not lower it.
+            is_kept = (after["error"] <= _ACCEPTED) * (after["error"] > inputs["error"] / 2)
+            error = ca.if_else(is_kept, 0, after["error"])
+            worst = ca.fmax(ca.fmax(after["gap"], error) - _CONVERGED, after["gain"] - _OPTIMAL)
             # A comparison with a number that is none is false: then the search has ended as well.
             result = unless_ended(ca.logic_not(worst > 0), *(inputs | after).values())
             return dict(zip(state, result))
@@ -323,32 +372,41 @@ def _build_vector(shape):
     return vector
 
 
-def _build_curvature(shape):
-    """The largest curvature of the cost along each row, and the cost of meeting exceeded bounds.
+def _hidden(stages):
+    """What rounding hides of the gain: a millionth of ½ Σ g² / H_ii."""
+    g = ca.vertcat(*(stage["g"] for stage in stages))
+    weight = ca.vertcat(*(ca.diag(stage["H"]) for stage in stages))
+    by_itself = ca.if_else(weight > 0, g**2 / ca.fmax(weight, _TINY), 0)
+    return _LEAST_GAIN * ca.sum1(by_itself) / 2
 
-    To it comes a millionth of ½ Σ g² / H_ii, because rounding hides what is to be gained of less.
-    Along a row, z = e / e'e, so the curvature is e' diag(P, M_uu) e / (e'e)², which is a cost per
-    square of the row's unit.
+
+def _build_compliance(shape):
+    """How far a unit force along a row moves it, at most at any node, by the inputs until then.
+
+    Without bounds a change of the gradient, -E', moves z by C E', where C is the inverse Hessian of
+    the condensed cost. Its blocks follow the stages like a covariance with u = Kx + (0, M_uu⁻¹):
+
+        C_k = (I, K)' W_k (I, K) + (0, M_uu⁻¹),   W_{k+1} = (A B) C_k (A B)',   W_0 = 0.
+
+    To move a row by b alone thus costs ½ b² / e'Ce. What the free QP gains is ½ λ'E C E'λ with the
+    multipliers λ of its bounds, or more, and so bounds a single one: λ² e'Ce <= 2 · gain.
     """
-    _, B_i, H_i, g_i, E_i, b_i = shape.stage.values()
+    n = shape.n
+    D_i, B_i, _, _, E_i, b_i = shape.stage.values()
 
-    @casadi_function("qp_curvature")
-    def curvature(
-        cost: (1, 1), largest: shape.side, P: (shape.n, shape.n),
-        B: B_i, H: H_i, g: g_i, E: E_i, b: b_i,
-    ):  # fmt: skip
-        M_uu = H[shape.n :, shape.n :] + B.T @ P @ B
-        M = ca.diagcat(P + H[: shape.n, : shape.n], M_uu)
-        square = ca.sum2(E**2)
-        along = ca.if_else(square > _TINY, ca.sum2((E @ M) * E) / ca.fmax(square, _TINY) ** 2, 0)
-        exceeded = ca.fmin(_bounded(b)[1], 0)
-        cost_before = cost + ca.dot(along, exceeded**2) / 2
-        weight = ca.diag(H)
-        by_itself = ca.if_else(weight > 0, g**2 / ca.fmax(weight, _TINY), 0)
-        cost_before += _LEAST_GAIN * ca.sum1(by_itself) / 2
-        return dict(cost_before=cost_before, largest_before=ca.fmax(largest, along))
+    @casadi_function("qp_compliance")
+    def compliance(
+        W: (n, n), most: shape.side, D: D_i, B: B_i, E: E_i, b: b_i, policy: shape.policy
+    ):
+        KW = policy["K"] @ W
+        of_inputs = KW @ policy["K"].T + policy["inverse"]
+        C = ca.vertcat(ca.horzcat(W, KW.T), ca.horzcat(KW, of_inputs))
+        moves = ca.horzcat(shape.A_0 + D, B)
+        there, _ = _bounded(b)
+        along = there * ca.sum2((E @ C) * E)
+        return dict(W_after=moves @ C @ moves.T, most_after=ca.fmax(most, along))
 
-    return curvature
+    return compliance
 
 
 class _Newton(NamedTuple):
@@ -448,12 +506,12 @@ def _build_measure(shape):
 
     @casadi_function("qp_measure")
     def measure(
-        a: (n, 1), error: one, gain: one, widest: shape.side, stage: stage,
+        a: (n, 1), error: one, gain: one, stage: stage,
         price: shape.price, point: shape.point, inverse: inverse_i,
     ):  # fmt: skip
         nothing = {name: ca.DM.zeros(*each) for name, each in shape.aim.items()}
         r_s = _newton(shape, stage["E"], stage["b"], price, point, nothing).r_s
-        errors = ca.vertsplit(ca.fabs(r_s) / widest)
+        errors = ca.vertsplit(ca.fabs(r_s) / price["widest"])
         gradient = stage["H"] @ point["z"] + stage["g"] + stage["E"].T @ point["lam"]
         r = gradient[n:] + stage["B"].T @ a
         return dict(
@@ -545,13 +603,11 @@ def _build_measured(shape):
     measure = _build_measure(shape)
 
     def measured(stages, values, price, policies):
-        b = ca.horzcat(*(stage["b"] for stage in stages))
-        widest = _widest(shape, _bounded(b)[1])
         carried = [ca.DM.zeros(shape.n), 0, 0]
         nodes = zip(stages, shape.by_node(shape.point, values), policies)
         for stage, point, (_, inverse) in reversed(list(nodes)):
             given = list(select_inputs(measure, stage | price | point).values())
-            carried = measure(*carried, widest, *given, inverse)
+            carried = measure(*carried, *given, inverse)
         return carried[1:]
 
     return measured

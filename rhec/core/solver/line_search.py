@@ -22,6 +22,7 @@ _PROGRESS = 0.9  # of the least |D| so far, below which a full step is taken
 _SHARE = 0.5  # of μ ‖c‖₁ by which the merit has to fall along the step
 DONE = 1e-12  # expected relative change of the merit, at which an iteration ends
 CONVERGED = 1e-9  # expected relative change of the merit
+NEAR = 0.1  # the same, above which the iterations ended far from a solution
 
 
 def line_search(name, unknowns, data, cost_and_gaps):
@@ -35,8 +36,8 @@ def line_search(name, unknowns, data, cost_and_gaps):
 
     Returns:
         The Function (unknowns, unknowns with "_full" after a full step, penalty, data) ->
-        (unknowns, penalty_after, converged, done, is_full: whether the step is a full one). The
-        step is zero where no length is good enough.
+        (unknowns, penalty_after, near, converged, done, is_full: whether the step is a full one).
+        The step is zero where no length is good enough.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
 
@@ -69,8 +70,9 @@ def line_search(name, unknowns, data, cost_and_gaps):
             key: ca.if_else(length == 1, values[f"{key}_full"], old[key] + length * step[key])
             for key in unknowns
         }
-        flags = dict(converged=change <= CONVERGED, done=small, is_full=length == 1)
-        return result | flags | dict(penalty_after=ca.vertcat(penalty, least))
+        flags = dict(near=change <= NEAR, converged=change <= CONVERGED, done=small)
+        carried = dict(penalty_after=ca.vertcat(penalty, least))
+        return result | flags | dict(is_full=length == 1) | carried
 
     return search
 

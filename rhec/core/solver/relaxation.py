@@ -9,7 +9,7 @@ before, the share becomes -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxat
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
-from rhec.core.solver.line_search import CONVERGED, DONE
+from rhec.core.solver.line_search import CONVERGED, DONE, NEAR
 
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
@@ -27,16 +27,16 @@ def relaxation(name, unknowns, data, cost):
         cost: Function (unknowns, data) -> cost.
 
     Returns:
-        The Function (unknowns, unknowns with "_full" after a full step, penalty, ok, kkt, data) ->
-        (unknowns, penalty_after, converged, done). `penalty` carries the last share and step on;
-        at first, and after a step that is not ok, it is 0.
+        The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt, data)
+        -> (unknowns, penalty_after, near, converged, done). `penalty` carries the last share and
+        step on; at first, and after a QP that was not solved, it is 0.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
     carried = 1 + sum(rows * columns for rows, columns in unknowns.values())
-    known = dict(penalty=(carried, 1), ok=(1, 1), kkt=(1, 1))
+    known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1))
 
     @casadi_function(name, ca.MX, **unknowns, **full, **known, **data)
-    def search(penalty, ok, kkt, **values):
+    def search(penalty, solved, kkt, **values):
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
         step = ca.veccat(*(values[f"{key}_full"] - values[key] for key in unknowns))
         after_full_step = ca.veccat(*(values[key] for key in full))
@@ -48,8 +48,9 @@ def relaxation(name, unknowns, data, cost):
         for key in unknowns:
             part = values[key] + share * (values[f"{key}_full"] - values[key])
             result[key] = ca.if_else(is_full, values[f"{key}_full"], part)
-        flags = dict(converged=ca.logic_or(change <= CONVERGED, stays), done=done)
-        carry = ca.if_else(ok, ca.vertcat(share, step), ca.DM.zeros(carried))
+        near, converged = (ca.logic_or(change <= most, stays) for most in (NEAR, CONVERGED))
+        flags = dict(near=near, converged=converged, done=done)
+        carry = ca.if_else(solved, ca.vertcat(share, step), ca.DM.zeros(carried))
         return result | flags | dict(penalty_after=carry)
 
     return search

@@ -13,6 +13,8 @@ measurement and the command. Iterating linearise, feedback and expand without sh
 solution of the nonlinear problem.
 """
 
+from typing import Any
+
 import numpy as np
 
 from rhec.core._casadi.build import select_inputs
@@ -183,9 +185,26 @@ class RealTimeLoop:
         if not self.iteration.started:
             self._start()
 
+    def step(self, *sample: Any, **named: Any) -> Any:
+        """One sample of a loop that prepares nothing: `prepare()`, then `feedback(…)`.
+
+        Args:
+            sample: Arguments of `feedback`.
+            named: Arguments of `feedback` by name.
+
+        Returns:
+            What `feedback` returns.
+        """
+        self.prepare()
+        return self.feedback(*sample, **named)
+
     @property
     def ok(self) -> bool:
-        """Whether the last step was solved; if not, its result is the shifted previous solution."""
+        """Whether the last step was solved, and the last `solve` ended near a solution.
+
+        Where a step was not solved, its result is the shifted previous solution. A `solve` ended
+        near a solution if another iteration would lower the cost by less than a tenth of it.
+        """
         return self.iteration.arrays["ok"].item() == 1
 
     @property
@@ -198,7 +217,7 @@ class RealTimeLoop:
 
     @property
     def kkt(self) -> float:
-        """KKT tolerance of the linearisation point of the last feedback; NaN without `ok`."""
+        """KKT tolerance of the linearisation point of the last feedback; NaN if unsolved."""
         self.iteration.expand()
         return self.iteration.arrays["kkt"].item()
 

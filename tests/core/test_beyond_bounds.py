@@ -1,0 +1,257 @@
+"""Controllers whose bounds cannot be kept, or are just kept, do the best that physics allows."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import no_compiler
+
+import rhec
+from notebooks.further import constrained_gallery
+
+INF = np.inf
+
+
+def controller(model, **options):
+    with no_compiler():
+        return rhec.RHC(model=model, **options)
+
+
+def drive(model, mpc, x, samples, dt, **references):
+    """States (samples + 1, n_x), commands, and `ok` of each sample."""
+    states, commands, ok = [np.array(x, float)], [], []
+    for _ in range(samples):
+        commands.append(mpc.step(states[-1], **references))
+        ok.append(mpc.ok)
+        states.append(model.simulate(states[-1], [commands[-1]], dt=dt)[-1])
+    return np.array(states), np.array(commands), np.array(ok)
+
+
+MASS = rhec.Model(states=("x", "v"), inputs="force", f=lambda x, u, p: [x[1], u[0]])
+MASS_OPTIONS = dict(q=(1.0, 0.1), r=(0.1,), dt=0.1, horizon=20)
+
+
+def mass(**options):
+    bounds = dict(force=(-1, 1)) | options.pop("bounds", {})
+    return controller(MASS, **MASS_OPTIONS, bounds=bounds, **options)
+
+
+# Bounds that the state is beyond
+
+
+@pytest.mark.parametrize("speed", [1.5, -0.9])
+def test_beyond_a_hard_bound_it_brakes_at_once_and_says_so(speed):
+    """With all its force until the bound is kept; `ok` is False exactly as long as it cannot be."""
+    mpc = mass(bounds=dict(v=(-0.5, 0.5)))
+    states, commands, ok = drive(MASS, mpc, (0.0, speed), 40, 0.1)
+    # The state of the next sample is the first that a command moves.
+    beyond = np.abs(states[:-1, 1]) - 0.1 > 0.5 + 1e-6
+    assert beyond.sum() >= 3
+    np.testing.assert_allclose(commands[beyond, 0], -np.sign(speed), atol=1e-6)
+    np.testing.assert_array_equal(ok, ~beyond)
+    assert np.all(np.abs(states[np.argmin(beyond) + 1 :, 1]) <= 0.5 + 1e-6)
+
+
+def test_it_says_which_bound_and_by_how_much():
+    mpc = mass(bounds=dict(v=(-0.5, 0.5)))
+    mpc.step((0.0, 1.5))
+    assert not mpc.ok and not mpc.converged and np.isfinite(mpc.kkt)
+    assert mpc.status == "the bounds of 'v' cannot be kept; the plan exceeds them by 0.9"
+    mpc.step((0.0, 0.0))
+    assert mpc.ok and mpc.status == ""
+
+
+def test_a_price_above_all_multipliers_gives_the_same_commands():
+    """Whether the bound can be kept or not."""
+    hard, priced = (
+        mass(bounds=dict(v=bound)) for bound in [(-0.5, 0.5), rhec.Bound(-0.5, 0.5, linear=1e4)]
+    )
+    for x in [(2.0, 0.1), (-3.0, 0.4), (0.0, 1.5), (1.0, -0.8)]:
+        np.testing.assert_allclose(hard.step(x), priced.step(x), rtol=0, atol=1e-6)
+        assert priced.ok and hard.ok == (abs(x[1]) <= 0.6)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_unit_of_the_cost_does_not_matter(scale):
+    mpc = mass(bounds=dict(v=(-0.5, 0.5)))
+    other = mass(bounds=dict(v=(-0.5, 0.5)))
+    other.update(q=(scale, 0.1 * scale), r=(0.1 * scale,))
+    for x in [(2.0, 0.1), (0.0, 1.5)]:
+        np.testing.assert_allclose(other.step(x), mpc.step(x), rtol=0, atol=1e-6)
+
+
+# Bounds at which it rests
+
+
+@pytest.mark.parametrize("lowest", [-INF, -1.0])
+@pytest.mark.parametrize("price", [None, 100.0])
+@pytest.mark.parametrize("inputs", [[[1.9, 1.9], [-0.74, 0.74]], [[1.0, 0.5], [0.2, 1.0]]])
+def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
+    """Two coupled inputs, a reference beyond the bound: in the end nothing is left to gain."""
+    f = lambda x, u, p: ca.vertcat(-x[0] / 18, -x[1] / 8) + 0.1 * ca.DM(inputs) @ u  # noqa: E731
+    model = rhec.Model(states=("level", "heat"), inputs=("cold", "hot"), f=f)
+    bounds = dict(level=rhec.Bound(lowest, 1.0, linear=price))
+    mpc = controller(model, q=(1.0, 1.0), r=(0.1, 0.1), dt=2.0, horizon=10, bounds=bounds)
+    states, _, ok = drive(model, mpc, (0, 0), 12, 2.0, x_ref=(2.0, 0.5))
+    assert np.all(ok) and states[-1, 0] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("price", [None, 1e3])
+def test_a_reactor_at_its_lowest_level_is_ok(price):
+    """That of ModelPredictiveControl.jl: weights of outputs and changes, none of inputs."""
+    gains = [(1.9, 18.0, 0), (1.9, 18.0, 1), (-0.74, 8.0, 0), (0.74, 8.0, 1)]
+    model = rhec.Model(
+        states=tuple("abcd"),
+        inputs=("cold", "hot"),
+        f=lambda x, u, p: [(g * u[j] - x[i]) / T for i, (g, T, j) in enumerate(gains)],
+    )
+    outputs = dict(level=lambda x, u, p: x[0] + x[1], heat=lambda x, u, p: x[2] + x[3])
+    weights = dict(q=np.zeros((4, 4)), r=(0, 0), q_y=(1, 1), r_delta=(0.1, 0.1))
+    bounds = dict(level=rhec.Bound(-5, INF, linear=price))
+    mpc = controller(model, dt=2.0, horizon=10, outputs=outputs, bounds=bounds, **weights)
+    x, oks, levels = np.zeros(4), [], []
+    for k in range(40):
+        y_ref = (0, 5) if k < 10 else (-8, 5) if k < 25 else (-8, 0)
+        u = mpc.step(x, y_ref=y_ref)
+        x = model.simulate(x, [u], dt=2.0)[-1]
+        oks.append(mpc.ok)
+        levels.append(x[0] + x[1])
+    assert all(oks) and min(levels) >= -5 - 1e-6 and levels[-1] == pytest.approx(-5, abs=1e-6)
+
+
+def test_a_price_far_above_the_multiplier_of_a_bound_that_is_almost_reached():
+    """do-mpc's reactor creeps up to 140 °C, whose price exceeds all that is left to gain by 1e9."""
+    problem = constrained_gallery.cstr()
+    model = problem.options["model"]
+    mpc = controller(**problem.options)
+    goal = dict(x_ref=problem.goal)
+    states, _, ok = drive(model, mpc, problem.start, 50, problem.options["dt"], **goal)
+    assert np.all(ok) and 139.9 < states[-1, 2] <= 140
+
+
+# A bound that moves
+
+
+def bicycle(x, u, p):
+    return [
+        x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), x[3] * ca.tan(x[4]) / 2.7, u[0], u[1], u[2]
+    ]  # fmt: skip
+
+
+ROAD = rhec.Model(
+    states=("x", "y", "yaw", "v", "steer", "ahead"),
+    inputs=("pull", "turn", "speed_ahead"),
+    f=bicycle,
+)
+
+
+def overtake(y_0, price, samples=60):
+    """Drives at 10 m/s up to an ellipse of 6 by 2.5 m that is 30 m ahead and drives at 5 m/s.
+
+    Returns the clearance, 1 at the ellipse, the last state, and `ok` by sample.
+    """
+    away = lambda x, u, p: ca.sqrt(((x[0] - x[5]) / 6) ** 2 + (x[1] / 2.5) ** 2 + 1e-6)  # noqa: E731
+    mpc = rhec.RHC(
+        model=ROAD, command=("pull", "turn"), dt=0.1, horizon=30, outputs=dict(away=away),
+        q=(0, 0.5, 1, 0.5, 0.1, 0), r=(0.1, 1.0),
+        bounds=dict(
+            away=rhec.Bound(1, INF, linear=price),
+            pull=(-5, 3), turn=(-0.5, 0.5), steer=(-0.5, 0.5),
+        ),
+    )  # fmt: skip
+    x, clear, ok = np.array([0, y_0, 0, 10, 0, 30.0]), [], []
+    for _ in range(samples):
+        u = mpc.step(x, x_ref=(0, 0, 0, 10, 0, 0), u_ref=(0, 0, 5))
+        ok.append(mpc.ok)
+        x = ROAD.simulate(x, [[u[0], u[1], 5]], dt=0.1)[-1]
+        clear.append(np.hypot((x[0] - x[5]) / 6, x[1] / 2.5))
+    return np.array(clear), x, np.array(ok)
+
+
+@pytest.mark.parametrize("price", [None, 10.0, 1e4])
+@pytest.mark.parametrize("y_0", [0.05, 0.3, -0.2])
+def test_it_drives_around_a_slower_obstacle(y_0, price):
+    clear, x, ok = overtake(y_0, price)
+    assert np.all(ok) and clear.min() >= 0.99
+    assert abs(x[1]) > 2 and x[3] > 10
+
+
+@pytest.mark.parametrize("price", [None, 100.0])
+def test_on_its_axis_it_stays_behind_a_slower_obstacle(price):
+    """Where no side is nearer, it slows down."""
+    clear, x, ok = overtake(0.0, price)
+    assert np.all(ok) and clear.min() >= 0.99
+    assert x[0] < x[5] and x[3] < 7
+
+
+# The command before
+
+
+def test_changes_are_counted_from_the_command_that_was_applied():
+    mpc = mass(bounds=dict(force=(-5, 5)), delta_bounds=dict(force=(-0.1, 0.1)))
+    far = dict(x_ref=(100.0, 0.0))
+    mpc.restart(u_before=[3.0])
+    assert mpc.step((0, 0), **far) == pytest.approx(3.1)
+    assert mpc.step((0, 0), **far) == pytest.approx(3.2)
+    assert mpc.step((0, 0), **far, u_before=(-1.0,)) == pytest.approx(-0.9)  # overridden
+    assert mpc.step((0, 0), **far, u_before=(np.nan,)) == pytest.approx(-0.8)  # unknown
+    assert mpc.solve((0, 0), **far, u_before=(2.0,)) == pytest.approx(2.1)
+    mpc.restart()
+    assert mpc.step((0, 0), **far) == pytest.approx(0.1)
+
+
+def test_a_command_before_that_is_far_beyond_its_bounds_comes_back_at_once():
+    mpc = mass(delta_bounds=dict(force=(-0.1, 0.1)))
+    assert mpc.step((0, 0), x_ref=(9, 0), u_before=[3.0]) == pytest.approx(1.0)
+    assert not mpc.ok
+    assert mpc.status.startswith("the bounds of the change of 'force' cannot be kept; ")
+    assert mpc.step((0, 0), x_ref=(9, 0), u_before=[1.0]) == pytest.approx(1.0) and mpc.ok
+
+
+@pytest.mark.parametrize("bad", [(1.0, 2.0), "a", ["a"], {}])
+def test_a_bad_command_before_is_refused(bad):
+    mpc = mass(delta_bounds=dict(force=(-0.1, 0.1)))
+    with pytest.raises(ValueError, match=r"^u_before (was|had) .*; it should"):
+        mpc.step((0, 0), u_before=bad)
+    with pytest.raises(ValueError, match=r"^u_before (was|had) .*; it should"):
+        mpc.restart(u_before=bad)
+
+
+def test_a_command_before_that_would_change_nothing_is_refused():
+    with pytest.raises(ValueError, match="^u_before was .*; it should be None, since changes"):
+        mass().step((0, 0), u_before=(1.0,))
+
+
+# Bounds of the model
+
+
+def test_bounds_of_the_model_hold_in_its_controller():
+    """Unless `bounds` say other ones."""
+    model = rhec.Model(
+        states=("x", "v"), inputs="force", f=MASS.f, state_bounds=dict(v=(-0.2, 0.3))
+    )
+    narrow = controller(model, **MASS_OPTIONS)
+    wide = controller(model, **MASS_OPTIONS, bounds=dict(v=(-INF, INF)))
+    free = controller(MASS, **MASS_OPTIONS)
+    for mpc in (narrow, wide, free):
+        mpc.solve((3.0, 0.0))
+    assert narrow.ok and narrow.x_plan[1].min() == pytest.approx(-0.2)
+    np.testing.assert_allclose(wide.u_plan, free.u_plan, rtol=0, atol=1e-7)
+    assert free.x_plan[1].min() < -0.5
+
+
+# How `solve` ends
+
+
+def test_a_solve_that_ends_far_from_a_solution_is_not_ok():
+    """A pendulum that has to swing up, after one iteration and after many."""
+    model = rhec.Model(
+        states=("angle", "rate"), inputs="torque",
+        f=lambda x, u, p: [x[1], 9.81 * ca.sin(x[0]) - 0.1 * x[1] + u[0]],
+    )  # fmt: skip
+    mpc = controller(
+        model, q=(10, 1), r=(0.1,), qn_factor=10, dt=0.05, horizon=40, bounds=dict(torque=(-4, 4))
+    )
+    mpc.solve((np.pi, 0), iterations=1)
+    assert not mpc.ok and not mpc.converged and "iterations" in mpc.status
+    mpc.solve((np.pi, 0), iterations=100)
+    assert mpc.ok and mpc.converged and mpc.status == ""
