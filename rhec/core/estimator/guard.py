@@ -52,7 +52,7 @@ class Judge:
     def build(self, window):
         """The Function (prediction, s_N, z_N, noise, age, memory) -> (z_used, …).
 
-        Besides `z_used` it may return `V_used`, `P_used` (the prediction's covariance), `agrees`,
+        Besides `z_used` it may return `V_used`, the prediction's `m_used` and `P_used`, `agrees`,
         `accepted` and `restart`. Of each piece of the memory it returns `<piece>_after`.
         """
 
@@ -182,6 +182,7 @@ def _wrap_feedback(window, feedback_of_rhe, judge, kind):
         given["z_N"] = verdict["z_used"]
         given["V"] = verdict.pop("V_used", given["V"])
         given["P_N"] = verdict.pop("P_used", given["P_N"])
+        given["m_N"] = verdict.pop("m_used", given["m_N"])
         used = {f"{name}_used": given[name] for name in window.by_node}
         if set(noise_memory(window)) <= given.keys():  # the feedback solves for all of the window
             noises = whole_noise(window, given | used)

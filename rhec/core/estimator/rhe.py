@@ -768,8 +768,7 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         m_0, sigma_0 = self._guess
         self.settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        share = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        gate = innovation_gate.InnovationGate(share)
+        gate = innovation_gate.InnovationGate()
         self.window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
         functions = compiled.load(build_solvable, self.window)
         memory = tuple(self.window.memory)
