@@ -52,8 +52,10 @@ def pytest_configure():
     sys.modules.setdefault("rfc3987_syntax", None)
 
 
-def pytest_collection_modifyitems(items):
-    """Begin with the longest files; all others keep their order."""
+def pytest_collection_modifyitems(config, items):
+    """Begin with the longest files; all others keep their order. Without --thorough none nightly."""
+    if not config.getoption("--thorough"):
+        items[:] = [item for item in items if not item.get_closest_marker("nightly")]
     rank = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(file.exists() for file in rank)
     items.sort(key=lambda item: rank.get(item.path, len(rank)))

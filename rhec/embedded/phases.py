@@ -16,11 +16,11 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
+from rhec.core.estimator.innovation_gate import patience
 from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
-from rhec.core.estimator.innovation_gate import patience
 from rhec.core.solver.rti import IMPROVE
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path

@@ -22,7 +22,6 @@ from rhec.core.estimator import kalman, offline
 from rhec.core.estimator.base import joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.estimator.innovation_gate import ROBUST
 from rhec.core.model import base
 from rhec.core.model.base import Model
 from rhec.logs.calibrated import Calibration, is_determined, posterior_covariance
@@ -30,8 +29,9 @@ from rhec.logs.recording import Recording, prepare_for, resample
 
 _PRIOR = np.log(3.0)  # standard deviation of the logarithm of a standard deviation
 _NEEDED = ("dt", "sigma_v", "sigma_w", "guess", "sigma_guess")
-_PASSED_ON = ("horizon", "arrival_mean", "robust")
+_PASSED_ON = ("horizon", "arrival_mean")
 _LEAST_SAMPLES = 50  # with measurements
+_OUTLIERS = 1e-3  # share of good samples that count less
 
 
 def _correct_robustly(m, P, z, V, outputs, s_bar):
@@ -40,7 +40,7 @@ def _correct_robustly(m, P, z, V, outputs, s_bar):
     That is c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then
     1 + log r.
     """
-    limit = float(chi2.isf(ROBUST, max(len(outputs), 1)))
+    limit = float(chi2.isf(_OUTLIERS, max(len(outputs), 1)))
     plain = kalman.update(m, P, z, V, outputs, s_bar)
     far = plain.distance / limit
     loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))

@@ -75,7 +75,6 @@ ESTIMATOR_FIELDS = (
     "speed_model",
     "slip",
     "arrival_mean",
-    "robust",
     "sensors",
     "sigma_gyro",
     "sigma_heading",
@@ -191,7 +190,6 @@ def _recorded(choice, outputs, z):
     others = set(quantities[len(QUANTITIES) :]) & set(states)
     if others:
         window = window_of(choice)
-        # In the memory of a robust estimator, further entries follow those of the window.
         packed = outputs["memory"][: packed_size(window.memory)]
         newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
         values = dict(zip(states, newest))
@@ -608,7 +606,7 @@ def replay(
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
             a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
-            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean, robust.
+            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
             and v_right_mps; speed_mps and yaw_rate_radps are not used.
         lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
@@ -626,7 +624,7 @@ def replay(
         smooth: Whether each estimate takes later measurements into account, too. Only the
             estimator "rhe" with speed_model="slipping" or "input" can be smoothed.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
+            speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
             with the motion. With "slipping" the estimator "rhe"
             uses the gyro and the heading of the log unless sensors says otherwise. Without a

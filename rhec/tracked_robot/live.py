@@ -78,7 +78,6 @@ class PaperRHE(rhe.RHE):
         speed_model: "parameter", "input" or "slipping", see Scenario.
         slip: How tracks slip, for the speed model "slipping", see Scenario.
         arrival_mean: "smoothed" or "filtered"; None: that of `process_noise`.
-        robust: Whether contradictory measurements count less, see Scenario.
         sensors: What the robot has besides GNSS and encoders: ("gyro",), ("heading",) or both.
         sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
         sigma_heading: Standard deviation of the heading [rad].
@@ -102,7 +101,6 @@ class PaperRHE(rhe.RHE):
         speed_model: options.SpeedModel = "parameter",
         slip: options.Slip | None = None,
         arrival_mean: rhe.ArrivalMean | None = None,
-        robust: valid.Flag = False,
         sensors: options.Sensors = (),
         sigma_gyro: options.SigmaGyro | None = None,
         sigma_heading: valid.Positive | None = None,
@@ -117,9 +115,7 @@ class PaperRHE(rhe.RHE):
         arrival_mean = arrival_mean or tuning.ARRIVAL_MEAN[process_noise]
         sigma_v = sigma_v or tuning.SIGMA_V[process_noise]
         sensors = tuple(name for name in OUTPUTS if name in sensors)
-        self._choice = Choice(
-            "rhe", horizon, speed_model, arrival_mean, robust, dt, sensors=sensors
-        )
+        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, dt, sensors=sensors)
         self._estimator = estimators.estimator_of("rhe")
         self._guess = guess
         self._tuning = process_noise
@@ -142,10 +138,9 @@ class PaperRHE(rhe.RHE):
     def __repr__(self):
         sigmas = {name: np.array2string(np.sqrt(self.settings[name])) for name in "VW"}
         choice = self._choice
-        robust = ", robust" if choice.robust else ""
         return (
             f"{type(self).__name__}: {self.window.N} intervals of {self.window.dt_s:g} s, "
-            f"speed model {choice.speed_model}, arrival mean {choice.arrival_mean}{robust}\n"
+            f"speed model {choice.speed_model}, arrival mean {choice.arrival_mean}\n"
             f"  process noise {self._tuning}: sigma of ({', '.join(self.model.joint_names)}) "
             f"{sigmas['W']}\n"
             f"  measurements: sigma of ({', '.join(self.model.outputs)}) {sigmas['V']}"

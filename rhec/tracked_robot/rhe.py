@@ -10,7 +10,6 @@ from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
-from rhec.tracked_robot.robust import RobustHandling
 from rhec.tracked_robot.sensors import GYRO_GUESS, with_sensors
 from rhec.tracked_robot.speed_models import speed_model_of
 
@@ -46,8 +45,7 @@ def window_of(choice):
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
         model = with_sensors(choice.speed_model, choice.sensors).model
-    judge = RobustHandling() if choice.robust else JUDGE
-    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, judge)
+    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, JUDGE)
 
 
 def init(window, guess, sigma=SIGMA_START):

@@ -125,9 +125,9 @@ def test_signatures_show_plain_types(name):
 def test_a_signature_names_what_may_be_passed():
     assert list(inspect.signature(rhec.RHE).parameters) == [*SETTINGS][:2] + ["horizon"] + [
         *SETTINGS
-    ][2:] + ["arrival_mean", "robust", "noise_in_window"]
+    ][2:] + ["arrival_mean", "noise_in_window"]
     assert inspect.signature(rhec.EKF).parameters["sigma_v"].annotation == tuple[float, ...]
-    assert inspect.signature(rhec.Scenario).parameters["robust"].annotation is bool
+    assert inspect.signature(rhec.Scenario).parameters["backwards"].annotation is bool
 
 
 def test_objects_show_what_they_are():

@@ -124,7 +124,8 @@ class InnovationGate(guard.Judge):
             more = H @ (without[1] - measured[1]) @ H.T
             agrees_without = _distance(y, grown + more, has) <= limit
             is_used = ca.logic_or(agrees, agrees_without)
-            after, restart = _counted(before, is_used, has, y, S, limit, patience(window.N))
+            can_restart = _fits(window, outputs, m_N, s_N, y)
+            after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
             is_used = ca.logic_or(is_used, restart)
             rejected = _without(outputs, kept)
             z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
@@ -216,7 +217,7 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, is_used, has, y, S, limit, most):
+def _counted(before, is_used, has, y, S, limit, N, can_restart):
     """The memory (a dict) after this sample, and whether the window restarts at it.
 
     Args:
@@ -226,14 +227,16 @@ def _counted(before, is_used, has, y, S, limit, most):
         y: (n_y,) their innovation.
         S: (n_y, n_y) its covariance.
         limit: Of the distance.
-        most: Samples that may be rejected in a row.
+        N: Intervals of the window.
+        can_restart: Whether the window may restart at this sample.
     """
     has_any = ca.sum1(has) > 0
     bend = y - 2 * before["trail"][:, 0] + before["trail"][:, 1]
     is_line = (before["rejected"] >= 2) * (ca.sum1(bend**2 / (6 * ca.diag(S))) <= limit)
     rejected = before["rejected"] + 1
     in_line = ca.if_else(is_line, before["in_line"] + 1, 0)
-    restart = (1 - is_used) * ca.logic_or(in_line >= TUNED.in_line, rejected >= most)
+    has_to = ca.logic_or(in_line >= TUNED.in_line, rejected >= patience(N))
+    restart = (1 - is_used) * has_to * can_restart
     goes_on = 1 - ca.logic_or(is_used * has_any, restart)  # without a sample that was used
     is_rejected = 1 - is_used
     after = dict(
@@ -275,8 +278,25 @@ def _anew(window, outputs, m, P, s_bar, y, m_0, P_0):
             m[place] = m_0[place]
             P[place, :] = 0
             P[:, place] = 0
-    away = ca.SX.zeros(*P_0.shape)
+    away = ca.sum2(_moves(outputs, s_bar, y) ** 2)
+    return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
+
+
+def _moves(outputs, s_bar, y):
+    """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
+    columns = [ca.SX(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
         H = output.H(s_bar)
-        away += (H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300)) ** 2
-    return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
+        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))
+    return ca.horzcat(*columns)
+
+
+def _fits(window, outputs, m, s_bar, y):
+    """Whether what is measured lies within the bounds of states; a window cannot start beyond."""
+    measured = m + ca.sum2(_moves(outputs, s_bar, y))
+    names = window.model.joint_names
+    fits = ca.SX(1)
+    for name, (lower, upper) in (window.model.state_bounds or {}).items():
+        place = names.index(name)
+        fits *= (lower <= measured[place]) * (measured[place] <= upper)
+    return fits

@@ -111,9 +111,8 @@ class Window(NamedTuple):
 
     @property
     def by_node(self):
-        """Names of the noises that differ by node, or by interval."""
-        weighs = bool(self.judge and self.judge.weighs)
-        return ("V",) * weighs + ("Q",) * self.noisy
+        """Names of the noises that differ by node."""
+        return ("Q",) * self.noisy
 
     @property
     def doubts_model(self):
@@ -133,16 +132,15 @@ class Window(NamedTuple):
 
     @property
     def noises(self):
-        """Shapes for the whole window: V by node has N + 1 columns, Q one for each interval."""
-        columns = dict(V=self.N + 1, Q=self.N)
-        by_node = {name: (self.noise[name][0], columns[name]) for name in self.by_node}
+        """Shapes for the whole window: Q has one column for each interval."""
+        by_node = {name: (self.noise[name][0], self.N) for name in self.by_node}
         return self.noise | by_node
 
     def at(self, node, **noises):
         """V, c and Q of one node, from those of the whole window."""
         # Before the oldest node lies no interval of the window.
-        columns = dict(V=node, Q=max(node - 1, 0))
-        return noises | {name: noises[name][:, columns[name]] for name in self.by_node}
+        column = max(node - 1, 0)
+        return noises | {name: noises[name][:, column] for name in self.by_node}
 
     @property
     def prediction(self):
@@ -716,6 +714,9 @@ def refuse_noise(sigma_w):
 class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
+    A sample far outside its prediction is not used, and `ok` is False then; where such samples
+    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`).
+
     Without `model` it is the estimator of the paper's robot, with the options of
     `rhec.tracked_robot.live.PaperRHE`.
 
@@ -730,10 +731,6 @@ class RHE(RealTimeLoop):
         sigma_guess: Standard deviations of the guess.
         arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
             "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
-        robust: Whether a sample that lies outside its prediction as one in a thousand good ones
-            does counts as missing (innovation gating). Otherwise only one in a billion does, and
-            the estimator is least squares for all others. In both cases `ok` is False then, and 30
-            of them in succession, or three windows, restart the window.
         noise_in_window: Whether the process noise also acts within the window, whose states then
             need not follow the model exactly. `feedback` takes its standard deviations by sample.
 
@@ -757,7 +754,6 @@ class RHE(RealTimeLoop):
         guess: valid.Reals,
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "smoothed",
-        robust: valid.Flag = False,
         noise_in_window: valid.Flag = False,
     ):
         if not model.inputs:
