@@ -29,6 +29,7 @@ SAMPLES = 280  # no fault lasts until 20 s before the end
 LONG = 25  # samples of a long fault, 5 s
 HELD = 60  # samples of a receiver that holds its position
 PATIENCE = 4  # the window restarts at the fourth sample of those that follow each other
+LATER_BACK = 10  # samples, 2 s: what two restarts cost beside an EKF that believes all
 ANY = object()  # a judge that is not None, and no judge either: the estimator's own
 
 WHEELBASE_M = 1.3
@@ -505,7 +506,7 @@ def breaches(rhe_row, ekf_row, moved):
         lost=rhe_row.lost > ekf_row.lost,
         lost_ok=rhe_row.lost_ok > ekf_row.lost_ok,
         worst=rhe_row.worst > max(1.3 * ekf_row.worst, moved + ekf_row.median),
-        back=rhe_row.back > ekf_row.back + PATIENCE,
+        back=rhe_row.back > ekf_row.back + LATER_BACK,
     )
     return [name for name, is_broken in broken.items() if is_broken]
 

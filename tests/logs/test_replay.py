@@ -168,7 +168,7 @@ def test_gating_says_when_it_restarts():
         result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05)
     restarts = result.index[result["restarted"]]
     assert len(restarts) >= 1 and result["position_accepted"][restarts].all()
-    assert errors(result[300:])[1].max() < 0.3
+    assert errors(result[450:])[1].max() < 0.3
 
 
 # Causality

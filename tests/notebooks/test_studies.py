@@ -54,7 +54,7 @@ def test_faults_are_shown_with_one_row_a_case():
     )
     shown = faults.readable_fault_table(faults.fault_table(runs))
     assert list(shown.index) == ["none: no fault"]
-    assert shown.loc["none: no fault", "recovered, on"] == "2 of 2"
+    assert shown.loc["none: no fault", "recovered, RHE"] == "2 of 2"
     counts = faults.verdict_counts(faults.fault_table(runs))
     assert list(counts["runs"]) == [2, 2] and list(counts["cases"]) == [1, 1]
 

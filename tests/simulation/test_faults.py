@@ -290,13 +290,13 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     table, errors = fault_study.study(
         rhec.Scenario(process_noise="calibrated"),
         range(2),
-        {"off": {}, "on": {"arrival_mean": "filtered"}},
+        {"RHE": {}, "EKF": {"arrival_mean": "filtered"}},
         cases,
     )
     assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(
         zip(table["family"], table["case"], table["estimator"])
     )
-    outage = errors["outage", "3 s", "off"]
+    outage = errors["outage", "3 s", "RHE"]
     assert (
         outage.shape == (2, round((fault_study.BEFORE_S + 3 + fault_study.AFTER_S) / DT))
         and np.isfinite(outage).all()
@@ -322,7 +322,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     assert "2 seeds" in figure.get_suptitle() and "[m]" in figure.get_supylabel()
     for axes, key in zip(shown, keys):
         off, largest = axes.lines[0].get_ydata(), axes.lines[1].get_ydata()
-        of_case = errors[(*key, "off")]
+        of_case = errors[(*key, "RHE")]
         known = ~np.isnan(of_case).any(axis=0)
         np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
         assert (largest >= off).all()

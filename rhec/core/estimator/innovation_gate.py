@@ -119,17 +119,22 @@ class InnovationGate(guard.Judge):
             S = H @ measured[1] @ H.T + ca.diag(V)
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
-            y_measured, y = (_innovation(outputs, z_N, m, s_N) for m, _ in (measured, without))
+            y_measured, y_without = (
+                _innovation(outputs, z_N, m, s_N) for m, _ in (measured, without)
+            )
             agrees = _distance(y_measured, grown, has) <= limit  # 0 where it is NaN
             more = H @ (without[1] - measured[1]) @ H.T
-            agrees_without = _distance(y, grown + more, has) <= limit
+            agrees_without = _distance(y_without, grown + more, has) <= limit
             is_used = ca.logic_or(agrees, agrees_without)
-            can_restart = _fits(window, outputs, m_N, s_N, y)
+            # m_N knows nothing of bounds; s_N follows from the last solution, which does.
+            s, _ = window.predict_input(B_N, s_N, P_N, v_N, kept, **values)
+            y = _innovation(outputs, z_N, s, s_N)
+            can_restart = _fits(window, outputs, s, s_N, y)
             after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
             is_used = ca.logic_or(is_used, restart)
             rejected = _without(outputs, kept)
             z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
-            m, P = _anew(window, outputs, m_N, P_N, s_N, y, m_0, P_0)
+            m, P = _anew(window, outputs, s_N, P_N, y, m_0, P_0)
             return dict(
                 z_used=z_used,
                 m_used=ca.if_else(restart, m, m_N),
@@ -174,9 +179,9 @@ class InnovationGate(guard.Judge):
         def restarted(goes_on, B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_used, **values):
             memory = {name: values[name] for name in window.pieces._fields}
             noise = {name: values[name] for name in window.noise}
-            m, _ = window.predict_input(B_N, m_N, P_N, v_N, z_used, **noise)
-            y = _innovation(outputs, z_used, m, s_N)
-            m, P = _anew(window, outputs, m_N, P_N, s_N, y, m_0, P_0)
+            s, _ = window.predict_input(B_N, s_N, P_N, v_N, z_used, **noise)
+            y = _innovation(outputs, z_used, s, s_N)
+            m, P = _anew(window, outputs, s_N, P_N, y, m_0, P_0)
             m, P = window.predict_input(B_N, m, P, v_N, z_used, **noise)
             s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
             for place, (lower, upper) in interval.bounds.items():
@@ -257,20 +262,19 @@ def _without(outputs, z):
     return z
 
 
-def _anew(window, outputs, m, P, s_bar, y, m_0, P_0):
+def _anew(window, outputs, s_N, P, y, m_0, P_0):
     """Mean and covariance of the newest node before its measurement, where the window restarts.
 
     Args:
         window: The rhe.Window.
         outputs: Those that are judged.
-        m: (n_s,) the prediction.
+        s_N: (n_s,) the prediction.
         P: (n_s, n_s) its covariance.
-        s_bar: (n_s,) where outputs are linearised.
         y: (n_y,) their innovation.
         m_0: (n_s,) first guess.
         P_0: (n_s,) its variances.
     """
-    m = ca.SX(m)
+    m = ca.SX(s_N)
     P = ca.SX(ca.densify(ca.if_else(is_plausible(P), P, 0)))
     for name, bounds in window.model.parameters.items():
         if bounds:
@@ -278,7 +282,7 @@ def _anew(window, outputs, m, P, s_bar, y, m_0, P_0):
             m[place] = m_0[place]
             P[place, :] = 0
             P[:, place] = 0
-    away = ca.sum2(_moves(outputs, s_bar, y) ** 2)
+    away = ca.sum2(_moves(outputs, s_N, y) ** 2)
     return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
 
 
