@@ -53,7 +53,10 @@ def pytest_configure():
 
 
 def pytest_collection_modifyitems(config, items):
-    """Begin with the longest files; all others keep their order. Without --thorough none nightly."""
+    """Begin with the longest files; all others keep their order.
+
+    What is marked `nightly` is tested with --thorough only.
+    """
     if not config.getoption("--thorough"):
         items[:] = [item for item in items if not item.get_closest_marker("nightly")]
     rank = {HERE / name: place for place, name in enumerate(LONGEST)}

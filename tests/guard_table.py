@@ -513,13 +513,17 @@ def breaches(rhe_row, ekf_row, moved):
 
 def table(n, wanted=lambda case: True):
     """All rows as lines of Markdown, with what they break."""
-    head = "| robot | when | fault | RHE lost (ok) | EKF | worst | EKF | median | EKF | back | EKF |"
+    head = (
+        "| robot | when | fault | RHE lost (ok) | EKF | worst | EKF | median | EKF | back | EKF |"
+    )
     yield f"{head} breaks |"
     yield "|---" * 12 + "|"
     for case in filter(wanted, cases()):
         ours, kalman, moved = rows_of(case, n)
         cells = [*case, f"{ours.lost} ({ours.lost_ok})", kalman.lost]
-        cells += [f"{value:.2f}" for value in (ours.worst, kalman.worst, ours.median, kalman.median)]
+        cells += [
+            f"{value:.2f}" for value in (ours.worst, kalman.worst, ours.median, kalman.median)
+        ]
         cells += [ours.back, kalman.back, ", ".join(breaches(ours, kalman, moved))]
         yield "| " + " | ".join(map(str, cells)) + " |"
 

@@ -157,8 +157,8 @@ _UNSOLVED = """
 This happens where positions jump by much more than `sigma_v` allows and nothing rejects them. With
 100 m of GNSS noise it happens in 2 of 3,600 samples at a horizon of 15, and in 11 to 13 % at
 `prediction_horizon=240`. With 10 km it happens in 1 to 2 %, with 1,000 km in a quarter (seeds 0 to
-2, 240 s each). Sixteen times as many guesses solve all at 100 m, but not from 10 km on, and a sample
-may then take sixteen times as long.
+2, 240 s each). Sixteen times as many guesses solve all at 100 m, but not from 10 km on, and a
+sample may then take sixteen times as long.
 """
 _RECORDING_HEAD = """
 ## A recording: the log of a real robot, for `rhec.replay`

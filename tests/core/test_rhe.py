@@ -174,7 +174,9 @@ def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_w
     start = first_memory(m, np.sqrt(np.diag(P)))
     memory, deviance = np.concatenate([flat(piece) for piece in start.values()]), 0.0
     for reading in z:
-        result = step(memory=memory, z_N=reading, V=V, W=np.zeros(6), P_0=np.ones(6), m_0=np.ones(6))
+        result = step(
+            memory=memory, z_N=reading, V=V, W=np.zeros(6), P_0=np.ones(6), m_0=np.ones(6)
+        )
         memory, deviance = result["memory"], deviance + float(result["deviance"])
     mean, covariance, likelihood = batch(z, m, P, V)
     np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], mean, atol=1e-8)
