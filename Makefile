@@ -26,8 +26,8 @@ ifeq ($(filter-out figures studies report,$(or $(MAKECMDGOALS),help)),)
 MAKEFLAGS += -j2
 endif
 
-.PHONY: help figures studies check-figures claim report article test test-browser lint bench \
-  nightly lock clean
+.PHONY: help figures studies check-figures claim report article test smoke smoke-site \
+  test-browser lint bench nightly lock clean
 
 help: ## list the goals
 	@sed -n 's/^##@ /\n/p; s/^\([a-z-]*\): .*## /  make \1\t/p' Makefile | expand -t 25
@@ -51,7 +51,11 @@ article: $(READY) ## the article "[Re] …" as build/article.pdf, after make fig
 ##@ Check
 # Tests of a file share what takes long to make, so one process runs them all, the longest first.
 test: $(READY) ## run the tests; WHAT="tests/core -k rhe" runs some of them
-	@$(PY_WHAT) -m pytest -n auto --dist loadfile --no-loadscope-reorder --ignore=tests/browser
+	@$(PY_WHAT) -m pytest -n auto --dist loadfile --no-loadscope-reorder --ignore=tests/browser \
+	  --ignore=tests/smoke
+
+smoke: $(READY) ## run every notebook with small parameters, and look at its tables
+	@$(PY) -m pytest -n auto tests/smoke
 
 test-browser: build/report/index.html ## test the pages in a headless Chromium
 	@$(PY) -m pytest -rs -n auto --dist loadfile -m 'not timed' tests/browser
@@ -67,8 +71,11 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
 	@cd tests && ../$(PY) -m benchmark
 
-nightly: $(READY) ## what takes long: every sampled test, failing sensors, killed workers, fuzzing
+nightly: $(READY) ## what takes long: every test, failing sensors, killed workers, fuzzing, studies
 	@$(MAKE) test WHAT=--thorough
+	@$(MAKE) figures studies
+	@$(MAKE) check-figures
+	@$(MAKE) test-browser
 	@$(PY) tests/soak.py --samples 10000000
 	@$(PY) tests/storm.py --runs 100000
 	@$(PY) tests/fuzz
@@ -120,6 +127,11 @@ $(TIMED): | $(filter-out $(TIMED),$(call executed,$(FIGURES)))
 ifneq ($(filter report test-browser figures,$(MAKECMDGOALS)),)
 $(call executed,$(STUDIES)): | $(TIMED)
 endif
+
+# The site of the notebooks with small parameters, which `make smoke` left.
+smoke-site: .venv/wasm
+	@RHEC_FIGURES=build/smoke/figures $(PY) -m docs.site.report build/smoke/*.ipynb \
+	  build/smoke/further/*.ipynb
 
 build/report/index.html: $(EXECUTED) README.md $(shell find docs -type f) | .venv/wasm
 	@$(PY) -m docs.site.report $(EXECUTED)

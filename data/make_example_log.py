@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core._casadi import scan
+from rhec.core import runner
 from rhec.core._casadi.build import packed_size, select_inputs, unpack, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.simulation.columns import RECORDED_TRUTH, TRACKS
@@ -118,7 +118,7 @@ def _record(pose, commands, terrain, seed):
     stream = np.hstack([np.array(rows), robot.draw_noise(seed, len(rows))])
     first = robot.init(pose, 0.0)
     memory = pack_array({name: first[name] for name in _MEMORY})
-    _, rows = scan.scan(scan.build_scan(_build_sample(terrain)), memory, stream, {})
+    rows = runner.run_one(runner.build(_build_sample(terrain)), memory, stream, {})
     log = pd.DataFrame(rows, columns=_COLUMNS)
     log.insert(0, "t_s", _DT_S * np.arange(len(log)))
     # A receiver's logger repeats the last position until a new one comes.

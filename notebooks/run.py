@@ -133,7 +133,9 @@ def run(notebook, values, output):
 
     Args:
         notebook: Path of the notebook.
-        values: {name: value} of its parameters.
+        values: {name: value} of its parameters. With any, its figures and tables go into a folder
+            beside the output and of its name, or the one that RHEC_FIGURES names; else into
+            figures/.
         output: Path of the executed notebook.
 
     Raises:
@@ -153,11 +155,17 @@ def run(notebook, values, output):
         raise _no_such_parameter(name, values[name], declared)
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
+    # A linked or copied .venv finds the package of the checkout that it was made in.
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
     os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
-    made = ROOT / "build/made"  # the list of these files, for `make clean`
-    made.parent.mkdir(exist_ok=True)
-    os.environ["RHEC_MADE"] = str(made)
+    if values:
+        os.environ.setdefault("RHEC_FIGURES", str(output.with_suffix("")))
+    else:
+        made = ROOT / "build/made"  # the list of these files, for `make clean`
+        made.parent.mkdir(exist_ok=True)
+        os.environ["RHEC_MADE"] = str(made)
     os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
     output.parent.mkdir(parents=True, exist_ok=True)
     started_ns = time.time_ns()

@@ -141,7 +141,7 @@ def _wrong_steps(xi, omega, p):
 def weights(q):
     """Check the weights q of (x, y, θ): drive ten fields with the calibrated RHE."""
     runs = [
-        simulate(Scenario(process_noise="calibrated", q=q, seed=seed, duration_s=60.0)).metrics
+        simulate(Scenario(process_noise="likelihood", q=q, seed=seed, duration_s=60.0)).metrics
         for seed in SEEDS
     ]
     settled_s = [run["settling_time_s"] for run in runs]

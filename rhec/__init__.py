@@ -10,7 +10,6 @@ A recorded log   logs.read, doctor, calibrate, replay  Its path     PathTracker
 On a robot       export                                In Jupyter   Explorer
 """
 
-from functools import partial as _partial
 from importlib import import_module as _import_module
 from typing import TYPE_CHECKING
 
@@ -20,15 +19,15 @@ if TYPE_CHECKING:
     from rhec import logs as logs
     from rhec.core.batch.batch import batch as batch
     from rhec.core.controller.bounds import Bound as Bound
-    from rhec.core.controller.rhc import RHC as RHC
     from rhec.core.estimator.ekf import EKF as EKF
-    from rhec.core.estimator.rhe import RHE as RHE
     from rhec.core.model.base import Model as Model
     from rhec.embedded import export as export
     from rhec.explorer.explorer import Explorer as Explorer
     from rhec.logs.calibration import calibrate as calibrate
     from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
+    from rhec.own_loop import RHC as RHC
+    from rhec.own_loop import RHE as RHE
     from rhec.simulation.campaigns.campaign import campaign as campaign
     from rhec.simulation.controller import Controller as Controller
     from rhec.simulation.faults import Fault as Fault
@@ -50,8 +49,8 @@ _HOME = {
     "Model": "core.model.base",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",
-    "RHC": "core.controller.rhc",
-    "RHE": "core.estimator.rhe",
+    "RHC": "own_loop",
+    "RHE": "own_loop",
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
@@ -74,18 +73,8 @@ def __getattr__(name):
     home = _import_module(f"rhec.{_HOME[name]}")
     if _HOME[name] == name:
         return home
-    value = getattr(home, name)
-    if name in ("RHC", "RHE"):
-        value.paper_class = _partial(_paper_class, name)
-    return value
+    return getattr(home, name)
 
 
 def __dir__():
     return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
-
-
-def _paper_class(name):
-    """The paper's RHE or RHC, which stands in where no model is passed."""
-    from rhec.tracked_robot.live import PaperRHC, PaperRHE
-
-    return {"RHC": PaperRHC, "RHE": PaperRHE}[name]

@@ -7,6 +7,7 @@ one sentence and 1, Ctrl-C one line and 130; `rhec doctor` returns 1 where it fo
 
 import functools
 import inspect
+import io
 import itertools
 import json
 import os
@@ -51,6 +52,8 @@ def main(words: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = sys.argv[1:] if words is None else list(words)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # its encoding may lack letters of the help
     with warnings.catch_warnings():
         # A warning is a sentence for the user, who has no use for its place in the source.
         warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
@@ -190,11 +193,15 @@ def _scenario_of(world, fields):
     return rhec.Scenario(**rhec.WORLDS[world] | fields)
 
 
-def _refuse_existing(files, overwrite):
-    """Raise a ValueError for files that are there already, before any work is done."""
-    there = [str(file) for file in files if Path(file).exists()]
-    if there and not overwrite:
-        raise ValueError(f"{', '.join(there)} exists; give another name, or --overwrite")
+def _refuse_output(option, file, overwrite, suffixes=()):
+    """Raise a ValueError for a file that cannot be written, before any work is done."""
+    if suffixes and file.suffix not in suffixes:
+        raise ValueError(f"--{option} was {str(file)!r}; it should end in {' or '.join(suffixes)}")
+    if not file.parent.is_dir():
+        raise ValueError(f"--{option} was {str(file)!r}; there is no folder {str(file.parent)!r}")
+    # Also a link that leads nowhere, and what is no file, such as a folder or a device.
+    if os.path.lexists(file) and not (overwrite and file.is_file()):
+        raise ValueError(f"{file} exists; give another name, or --overwrite if it is a file")
 
 
 # One run, and many
@@ -218,17 +225,21 @@ def simulate(
         as_json: Print the metrics as JSON.
         overwrite: Replace files of these names.
     """
-    _refuse_existing([file for file in (log, plot) if file], overwrite)
-    if log and log.suffix not in (".csv", ".parquet"):
-        raise ValueError(f"--log was {str(log)!r}; it should end in .csv or .parquet")
+    if log:
+        _refuse_output("log", log, overwrite, (".csv", ".parquet"))
+    if plot:
+        _refuse_output("plot", plot, overwrite, (".png", ".pdf", ".svg"))
     run = rhec.simulate(_scenario_of(world, given))
     print(json.dumps(_plain(run.metrics)) if as_json else run)
-    if log and log.suffix == ".csv":
-        run.log.to_csv(log, index=False)
-    elif log:
-        run.log.to_parquet(log)
+    if log:
+        with replacing(log) as unfinished:
+            if log.suffix == ".csv":
+                run.log.to_csv(unfinished, index=False)
+            else:
+                run.log.to_parquet(unfinished)
     if plot:
-        run.plot().savefig(plot)
+        with replacing(plot) as unfinished:
+            run.plot().savefig(unfinished, format=plot.suffix[1:])
 
 
 def _plain(metrics):
@@ -274,7 +285,7 @@ def campaign(
     for name, entries in p:
         if not entries:
             raise ValueError(f"-p {name} had no value; it should have at least one")
-    values = dict(p) or dict(estimator=["rhe", "ekf"], process_noise=["printed", "calibrated"])
+    values = dict(p) or dict(estimator=["rhe", "ekf"], process_noise=["printed", "likelihood"])
     values |= dict(seed=values.get("seed", range(seeds)))
     combinations = itertools.product(*values.values())
     scenarios = [rhec.Scenario(**dict(zip(values, combination))) for combination in combinations]
@@ -355,12 +366,14 @@ def calibrate(
         as_json: Print arguments of rhec.replay only.
         overwrite: Replace files of these names.
     """
-    _refuse_existing([yaml] if yaml else [], overwrite)
+    if yaml:
+        _refuse_output("yaml", yaml, overwrite)
     found = rhec.calibrate(_read(file, given), **_given_to(rhec.calibrate, given))
     print(json.dumps(dict(found)) if as_json else found)
     print(*found.remarks, sep="\n", end="\n" if found.remarks else "", file=sys.stderr)
     if yaml:
-        yaml.write_text(found.yaml, encoding="utf-8")
+        with replacing(yaml) as unfinished:
+            unfinished.write_text(found.yaml, encoding="utf-8")
 
 
 def replay(
@@ -386,7 +399,11 @@ def replay(
     from rhec.logs.replay import ESTIMATOR_FIELDS
 
     folder = folder or Path(f"{Path(file).stem}-replay")
-    _refuse_existing([folder / name for name in FILES], overwrite)
+    if folder.is_dir():
+        for name in FILES:
+            _refuse_output("folder", folder / name, overwrite)
+    elif os.path.lexists(folder):
+        raise ValueError(f"--folder was {str(folder)!r}, which is no folder")
     arguments = _given_to(rhec.replay, given)
     arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
     log = _read(file, given)
@@ -428,6 +445,12 @@ def lab():
         raise ValueError(
             "rhec lab needs the project's notebooks, which an installed package does not have; "
             "run it in a checkout of the repository"
+        )
+    here = Path.cwd()
+    if here != _PROJECT and (here / "notebooks/00_start.ipynb").exists():
+        raise ValueError(
+            f"this rhec is that of {_PROJECT}, not of the checkout {here}; delete .venv here, and "
+            "let make set up one"
         )
     # No news, no updates, no extensions from the network. What it logs are errors and its address,
     # which one opens where there is no display.

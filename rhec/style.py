@@ -19,7 +19,9 @@ from rhec.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 # In an installed wheel there is no project, and nothing is written among the packages.
-FOLDER = (ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()) / "figures"
+_HERE = ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()
+# A notebook that runs with other parameters does not write over the paper's figures.
+FOLDER = Path(os.environ.get("RHEC_FIGURES", _HERE / "figures"))
 
 # Widths of the paper's figures [in]
 COLUMN_IN = 3.4

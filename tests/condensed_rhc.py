@@ -6,4 +6,5 @@ from notebooks.studies import condensed
 
 def rhc_by(solver, **options):
     """The controller with its QP "structured", by stages, or by "daqp" or "qpoases"."""
-    return rhec.RHC(**options) if solver == "structured" else condensed.live(solver, **options)
+    qp = None if solver == "structured" else condensed.Condensed(solver)
+    return rhec.RHC(**options, qp=qp)

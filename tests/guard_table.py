@@ -65,9 +65,9 @@ class Robot(NamedTuple):
 # The estimators
 
 
-def build_rhe(window, quantities):
+def build_rhe(window):
     """The step of an RHE, as `compiled.load` takes it."""
-    return dict(step=rhe.build_phases(window, quantities)["step"])
+    return dict(step=rhe.build_phases(window)["step"])
 
 
 def _estimator(step, memory, values):
@@ -75,7 +75,7 @@ def _estimator(step, memory, values):
     return Estimator(step, memory, {name: np.reshape(values[name], (-1, 1)) for name in names})
 
 
-def _estimators(window, quantities, values, guess, sigma):
+def _estimators(window, values, guess, sigma):
     """RHE and EKF with the same numbers; `guess` maps the first measurement to a joint state."""
 
     def of_rhe(z):
@@ -85,7 +85,7 @@ def _estimators(window, quantities, values, guess, sigma):
         covariance = np.diag(np.square(sigma)).ravel()
         return np.array([*guess(z), *covariance, *np.zeros(window.interval.n_v), 0.0])
 
-    step = compiled.load(build_rhe, window, quantities)["step"]
+    step = compiled.load(build_rhe, window)["step"]
     kalman = compiled.load(ekf.build, window.model, window.dt_s)["step"]
     return dict(RHE=_estimator(step, of_rhe, values), EKF=_estimator(kalman, of_ekf, values))
 
@@ -108,7 +108,7 @@ def paper_estimators(process_noise, judge=ANY):
         m_0=guess(np.zeros(4)),
         P_0=np.square([paper_rhe.SIGMA_START[name] for name in names]),
     )
-    return _estimators(window, QUANTITIES, values, guess, np.array([sigma[name] for name in names]))
+    return _estimators(window, values, guess, np.array([sigma[name] for name in names]))
 
 
 def model_estimators(model, dt_s, sigma_v, sigma_w, guess, sigma_guess, judge=ANY):
@@ -117,7 +117,7 @@ def model_estimators(model, dt_s, sigma_v, sigma_w, guess, sigma_guess, judge=AN
     values = base.noise_of(model, sigma_v, sigma_w) | dict(m_0=m, P_0=np.square(sigma))
     judge = InnovationGate() if judge is ANY else judge
     window = rhe.Window(model, dt_s, 10, "filtered", judge)
-    return _estimators(window, None, values, lambda z: m, sigma)
+    return _estimators(window, values, lambda z: m, sigma)
 
 
 def run(estimator, drives):

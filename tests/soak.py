@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core._casadi import compiled
+from rhec.core._casadi.build import select_inputs
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
 from rhec.simulation.faults import Fault
@@ -71,7 +72,7 @@ def leg(base, seed, number):
         base,
         seed=int(rng.integers(2**31)),
         duration_s=duration_s,
-        process_noise=str(rng.choice(["printed", "calibrated"])),
+        process_noise=str(rng.choice(["printed", "likelihood"])),
         q=tuple(rng.uniform(0.1, 3, 3)),
         r=rng.uniform(1, 20),
         qn_factor=rng.uniform(1, 10),
@@ -133,6 +134,21 @@ def counted(scenario, setup, rows, memory):
     return counts, lowest
 
 
+def run_on(step, memory, stream, settings):
+    """The memory after the samples of a stream, and their rows: the loop, one call a sample."""
+    call = compiled.BufferedFunction(step)
+    call.set(**select_inputs(step, settings))
+    memory_in, stream_in, *_ = step.name_in()
+    memory_out, row_out, *_ = step.name_out()
+    rows = []
+    for sample in stream:
+        call.set(**{memory_in: memory, stream_in: sample})
+        call.call()
+        memory = call.results[memory_out].copy()
+        rows.append(call.results[row_out].copy())
+    return memory, np.array(rows)
+
+
 def drive(state, base, samples):
     """Drive so many samples on from a state: the next state. In one piece or in many, every row is
     the same to the last bit (`digest`).
@@ -146,8 +162,8 @@ def drive(state, base, samples):
         stream = closed_loop.noise_and_faults(scenario.seed, scenario.faults, LEG, setup.draws)
         while place < LEG and state["done"] < end:
             until = min(place - place % CHECK + CHECK, place + end - state["done"])
-            state["memory"], rows = scan.scan(
-                functions, state["memory"], stream[place:until], setup.settings
+            state["memory"], rows = run_on(
+                functions["step"], state["memory"], stream[place:until], setup.settings
             )
             counts, lowest = counted(scenario, setup, rows, state["memory"])
             counts["done"] = until - place

@@ -2,7 +2,7 @@
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -13,8 +13,11 @@ DRIVE = "fpn_msgs/msg/Drive"
 DRIVE_DEFINITION = "std_msgs/Header header\nfloat64[4] speeds\nfloat32 yaw_rate\nstring mode\n"
 
 
-def write_bag(folder, kind, messages):
-    """A bag of (topic, type, stamp [ns], message) in this order, received a second later each."""
+def write_bag(folder, kind, messages, packed=None):
+    """A bag of (topic, type, stamp [ns], message) in this order, received a second later each.
+
+    packed: "BZ2" or "LZ4" for a .bag, "STORAGE" (of chunks) or "MESSAGE" for the others.
+    """
     store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.LATEST)
     store.register(get_types_from_msg(DRIVE_DEFINITION, DRIVE))
     if TF not in store.types:
@@ -27,6 +30,10 @@ def write_bag(folder, kind, messages):
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         writer = Writer2(file, version=9, storage_plugin=plugin)
     serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
+    if packed and kind == "bag":
+        writer.set_compression(Writer1.CompressionFormat[packed])
+    elif packed:
+        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     with writer:
         lines = {
             topic: writer.add_connection(topic, name, typestore=store)
@@ -193,3 +200,7 @@ def drive(speeds, yaw_rate):
         yaw_rate=float(yaw_rate),
         mode="auto",
     )
+
+
+def text(content):
+    return lambda store, stamp: of(store, "std_msgs/String", data=content)

@@ -11,11 +11,11 @@ const failed = error => {
   console.error(error);
 };
 
-// The process noise W of an estimator: printed, calibrated, or the sliders'.
+// The process noise W of an estimator: printed, likelihood, or the sliders'.
 function sigma_w_of({ sigma_w }) {
   const own = page.values.sigma_w; // of (x, y, θ, ν, μ, κ)
   // The yaw drift has no slider.
-  const all = [...own, ...sigma_w.calibrated.slice(own.length)];
+  const all = [...own, ...sigma_w.likelihood.slice(own.length)];
   return sigma_w[$("noise").value] ?? all.slice(0, sigma_w.printed.length);
 }
 

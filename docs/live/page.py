@@ -156,7 +156,7 @@ def _module(own):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     memory, directions = affine_memory(own)
-    noises = ("printed", "calibrated")
+    noises = ("printed", "likelihood")
     sigma_w = tuning.SIGMA_W[scenario.estimator]
     built = functions.build_functions(scenario)
     text = functions.c_text(built)
@@ -274,7 +274,7 @@ def _scene(scene, defaults):
         (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
         for name, module, own in scene["runs"]
     ]
-    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["calibrated"])
+    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["likelihood"])
     values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
     return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
 

@@ -53,7 +53,7 @@ def _shortest(window):
 
 
 def _build_shortest(name, window):
-    return _named(name, rhe.build_phases(_shortest(window), QUANTITIES)["step"])
+    return _named(name, rhe.build_phases(_shortest(window))["step"])
 
 
 def _named(name, function):
@@ -65,7 +65,7 @@ def _named(name, function):
 
 def _build_shift(window):
     """The window one sample later; the newest measurement is still missing."""
-    phase = rhe.build_phases(window, QUANTITIES)["shift"]
+    phase = rhe.build_phases(window)["shift"]
     inputs = {name: phase.size_in(name) for name in ("V", "W")}
 
     @with_packed_memory("shift", window.memory, ca.MX, **inputs)
@@ -77,7 +77,7 @@ def _build_shift(window):
 
 def _build_solve(name, window):
     """What the newest measurement makes of a shifted window, and the prediction of its node N."""
-    phases = rhe.build_phases(window, QUANTITIES)
+    phases = rhe.build_phases(window)
     inputs = {name: phases["feedback"].size_in(name) for name in ("z_N", "V")}
     inputs["P_0"] = phases["expand"].size_in("P_0")
 

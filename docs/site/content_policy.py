@@ -1,12 +1,14 @@
 """Content-Security-Policy of the report: what a browser lets its pages run and load.
 
 Pages run the scripts of the report alone and load nothing from elsewhere, so that text which ends
-up in a page as HTML by mistake, for example from a log, can neither run nor send anything away.
+up in a page as HTML by mistake, for example from a log, cannot run and cannot load anything. A
+policy does not keep such text from leading to another page.
 """
 
 import re
 from base64 import b64encode
 from hashlib import sha256
+from importlib.resources import files
 
 __all__ = ["live_policy", "with_policy"]
 
@@ -38,16 +40,17 @@ def live_policy():
 
 
 def with_policy(html):
-    """Return a page of the report with its policy, which allows the scripts that it has now.
+    """Return a page of the report with its policy, which allows the scripts of the theme alone.
 
     Args:
-        html: The text of the page. Scripts within it are allowed by their digests.
+        html: The text of the page. Other scripts within it are not run.
 
     Returns:
         The text with a `<meta>` element at the beginning of `<head>`.
     """
-    digests = [sha256(script.encode()).digest() for script in _INLINE_SCRIPT.findall(html)]
-    inline = [f"'sha256-{b64encode(digest).decode()}'" for digest in dict.fromkeys(digests)]
+    template = (files("furo") / "theme/furo/base.html").read_text(encoding="utf-8")
+    digests = [sha256(script.encode()).digest() for script in _INLINE_SCRIPT.findall(template)]
+    inline = [f"'sha256-{b64encode(digest).decode()}'" for digest in digests]
     policy = _text(
         _COMMON
         | {

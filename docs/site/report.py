@@ -30,13 +30,15 @@ from docs.site.content_policy import with_policy
 from notebooks.studies import timing
 from rhec import __version__, style
 
-__all__ = ["build"]
+__all__ = ["SHOWN", "build", "licence"]
 
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _NO_SLIDERS = "*Here are sliders when this notebook runs in JupyterLab:* `.venv/bin/rhec lab`"
+# Packages whose scripts and styles the pages hold.
+SHOWN = ("furo", "Sphinx", "myst-nb", "Pygments")
 # Names of what a cell saves: `style.save(figure, "fig08_errors")`.
 _SAVED = re.compile(r'\bsave(?:_table)?\([^,]+,\s*"(\w+)"')
 
@@ -76,6 +78,9 @@ def _lay_out(source, notebooks, figures, live):
     shutil.copy(ROOT / "docs/index.md", source)
     for name in _COPIED:
         shutil.copy(ROOT / name, source)
+    (source / "licences").mkdir()
+    for package in SHOWN:
+        (source / f"licences/{package}.txt").write_text(licence(package), encoding="utf-8")
     (source / "figures").mkdir()
     for picture in re.findall(r"figures/\w+\.png", (ROOT / "README.md").read_text("utf-8")):
         shutil.copy(ROOT / picture, source / picture)
@@ -200,6 +205,7 @@ def _provenance_page(stories, figures):
         ("Report made", datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")),
     ]
     runs = pd.DataFrame([_run_of(place, notebook) for place, notebook in stories.items()])
+    licences = ", ".join(f"{{download}}`{name} <licences/{name}.txt>`" for name in SHOWN)
     packages = pd.DataFrame(_packages(), columns=["package", "version"])
     return "\n\n".join(
         [
@@ -209,6 +215,7 @@ def _provenance_page(stories, figures):
             results.to_markdown(runs),
             "## Packages",
             results.to_markdown(packages),
+            f"These pages hold scripts and styles of other projects; their licences: {licences}.",
         ]
     )
 
@@ -231,6 +238,13 @@ def _run_of(place, notebook):
         "duration [s]": f"{record.get('duration') or 0:.3g}",
         "parameters": changed or "as in the notebook",
     }
+
+
+def licence(package):
+    """The text of an installed package's licence."""
+    files = importlib.metadata.files(package)
+    (file,) = [each for each in files if re.search(r"/LICEN[CS]E\b[^/]*$", str(each))]
+    return file.read_text(encoding="utf-8")
 
 
 def _packages():

@@ -27,7 +27,7 @@ _ROWS = [  # label, whose, quantity; the sentence that is judged, and on whose n
     ("Settling time, Q¹ over Q³", "Q1 / Q3", "settling time, ratio", "at least 2", "Q1 / Q3"),
     ("Overshoot, Q² over Q³", "Q2 / Q3", "overshoot, ratio", "at least 2", "Q2 / Q3"),
 ]
-_NOISES = {"printed": "W as printed", "calibrated": "W calibrated"}
+_NOISES = {"printed": "W as printed", "likelihood": "W by likelihood"}
 _BLOCK = re.compile(r"(<!-- results (summary|verdicts) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -35,7 +35,7 @@ def summary():
     """Scenarios A and B beside the paper: one row a quantity, one column a process noise W."""
     a = pd.read_csv(EXPECTED / "table_scenario_a.csv").rename(columns={"weight": "estimator"})
     b = pd.read_csv(EXPECTED / "table_scenario_b.csv")
-    numbers = pd.concat([b, a.assign(process_noise="calibrated")])
+    numbers = pd.concat([b, a.assign(process_noise="likelihood")])
     numbers = numbers.set_index(["estimator", "quantity", "process_noise"]).sort_index()
     rows = []
     for label, whose, quantity, sentence, judged in _ROWS:

@@ -13,13 +13,15 @@ import numpy as np
 import pandas as pd
 from scipy import optimize
 
+import rhec
 from notebooks.studies import timing
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
-from rhec.core.estimator import offline, rhe
+from rhec.core.estimator import rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.campaigns.map import parallel_map
@@ -35,7 +37,6 @@ from rhec.tracked_robot import path, tuning
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.live import PaperEstimate, PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
@@ -71,7 +72,7 @@ def build_with_given_arrival():
     V, W, P_0, P_given and constant; recorded are the estimate (6,) and that covariance (6, 6).
     """
     window = _window()
-    phases = rhe.build_phases(window, model.QUANTITIES)
+    phases = rhe.build_phases(window)
     kind = compiled.loop_symbols()
     shapes = dict(z_N=(4, 1), V=(4, 1), W=(6, 1), P_0=(6, 1), P_given=(6, 6), constant=(1, 1))
 
@@ -85,7 +86,7 @@ def build_with_given_arrival():
         memory = {name: known[name] for name in window.memory}
         return dict(estimate=known["estimate"], arrival_covariance=P) | memory
 
-    return offline.build(step, ["estimate", "arrival_covariance"])
+    return runner.build_recorded(step, ["estimate", "arrival_covariance"])
 
 
 def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=None):
@@ -101,7 +102,7 @@ def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=
     )
     guess = dict(zip(model.QUANTITIES, (*log.loc[0, POSE], log.loc[0, "nu_mps"], 1.0, 1.0)))
     memory = pack_array(paper_rhe.init(_window(), guess))
-    recorded = offline.run(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
+    recorded = runner.record(functions, memory, log[MEASUREMENTS].to_numpy(), settings)
     return recorded["estimate"], recorded["arrival_covariance"]
 
 
@@ -194,8 +195,8 @@ def live(scenario, iterations):
     problems = []
     commands = []
     positions = []
-    estimator = PaperRHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
-    controller = PaperRHC(q=scenario.q, r=scenario.r)
+    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
+    controller = rhec.RHC(q=scenario.q, r=scenario.r)
     tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
     for z in robot:
         begin = time.perf_counter()
@@ -226,8 +227,8 @@ def _distances_from_converged(scenario, problems, commands):
     nothing.
     """
     # Two controllers, since each starts from its previous plan.
-    exact = PaperRHC(q=scenario.q, r=scenario.r)
-    unprepared = PaperRHC(q=scenario.q, r=scenario.r)
+    exact = rhec.RHC(q=scenario.q, r=scenario.r)
+    unprepared = rhec.RHC(q=scenario.q, r=scenario.r)
     horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
     guess = set_up(scenario).guess
     cold = []
@@ -320,7 +321,7 @@ def kkt_tolerances(n=100):
         row = {}
         for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
             for place, count in {"reported": 1, "after the step": 2}.items():
-                controller = PaperRHC(q=q)
+                controller = rhec.RHC(q=q)
                 controller.solve(*problem, count)
                 row[f"{name}_{place}"] = controller.kkt
         rows.append(row)
@@ -338,7 +339,7 @@ def gains(n=100):
     offset_m = 1e-4  # small enough that no input reaches its bound
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
-        commands = {name: PaperRHC(r=r).solve(*problem) for name, r in weights.items()}
+        commands = {name: rhec.RHC(r=r).solve(*problem) for name, r in weights.items()}
         rows.append({name: abs(command) / offset_m for name, command in commands.items()})
     return pd.DataFrame(rows)
 
@@ -373,7 +374,7 @@ def steps_in_time(duration_s=60.0):
         DataFrame: in_time, whether the whole step takes less than a sample; whole_us, and
         feedback_us, the part of it after the measurement.
     """
-    scenario = Scenario(process_noise="calibrated", duration_s=duration_s)
+    scenario = Scenario(process_noise="likelihood", duration_s=duration_s)
     taken = timing.phases(scenario, timing.CONTROLLERS["daqp"])
     whole_us = taken.sum(axis=1)
     is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
@@ -394,15 +395,15 @@ def certainty_equivalence(duration_s=60.0):
     Returns:
         DataFrame, one row a sample: off_radps, the difference of the two commands [rad/s].
     """
-    (run,) = simulate([Scenario(process_noise="calibrated", duration_s=duration_s)])
-    controller = PaperRHC(q=run.scenario.q, r=run.scenario.r)
+    (run,) = simulate([Scenario(process_noise="likelihood", duration_s=duration_s)])
+    controller = rhec.RHC(q=run.scenario.q, r=run.scenario.r)
     tracker = PathTracker(run.path, run.scenario.prediction_horizon)
     rows = []
     for sample in run.log.to_dict("records"):
-        state = PaperEstimate(*(sample[name] for name in ESTIMATE), covariance=None)
+        estimate = [sample[name] for name in ESTIMATE]
         controller.prepare()
-        references = tracker.references(state, sample["omega_meas_radps"])
-        command = controller.feedback(state.pose, state.p, *references)
+        references = tracker.references(estimate, sample["omega_meas_radps"])
+        command = controller.feedback(estimate[:3], estimate[3:], *references)
         rows.append(dict(off_radps=abs(command - sample["omega_cmd_radps"])))
     return pd.DataFrame(rows)
 

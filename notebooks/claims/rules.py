@@ -21,11 +21,11 @@ from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, UNTESTABLE, Fin
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["CALIBRATED", "CLAIMS", "Claim", "Condition", "Rule", "load"]
+__all__ = ["LIKELIHOOD", "CLAIMS", "Claim", "Condition", "Rule", "load"]
 
-CALIBRATED = "W calibrated"
+LIKELIHOOD = "W by likelihood"
 _FILE = Path(__file__).with_name("claims.toml")
-_CONDITIONS = {"printed": AS_PRINTED, "calibrated": CALIBRATED}  # of each process noise
+_CONDITIONS = {"printed": AS_PRINTED, "likelihood": LIKELIHOOD}  # of each process noise
 
 
 class Condition(NamedTuple):
@@ -250,7 +250,7 @@ def _departures_of(entry, departures):
     # The arrival mean (R7) belongs to the RHE alone, and to every claim on it.
     names = entry.get("departures", [])
     if "rhe" in [*entry.get("runs", []), *entry.get("logs", [])]:
-        names = ["filtered", *names]
+        names = ["smoothed", *names]
     return [departures[name] for name in names]
 
 
@@ -263,8 +263,8 @@ def _by_condition(entry, expressions, departures):
     for departure in departures:
         fixed = departure.get("process_noises")  # where the departure sets W itself
         for process_noise in fixed or _CONDITIONS:
-            both = process_noise == "calibrated"
-            name = f"{CALIBRATED}, {departure['name']}" if both else departure["name"]
+            both = process_noise == "likelihood"
+            name = f"{LIKELIHOOD}, {departure['name']}" if both else departure["name"]
             conditions[name] = _condition(entry, expressions, process_noise, departure["instead"])
     return conditions
 

@@ -38,7 +38,7 @@ __all__ = [
     "scenarios",
 ]
 
-PROCESS_NOISES = ("printed", "calibrated")
+PROCESS_NOISES = ("printed", "likelihood")
 LOOK_AHEAD_M = 0.5
 _SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
@@ -73,26 +73,18 @@ def _dead_reckoning(process_noise):
     return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
 
 
-def _filtered_w(process_noise):
-    """The W of an RHE whose arrival mean is the filter's: calibrated, it has a separate one."""
-    if process_noise == "calibrated":
-        return tuning.SIGMA_W_FILTERED
-    return tuning.SIGMA_W["rhe"][process_noise]
-
-
 def _by_tracking(estimator):
     """Fields of an estimator with the W that tracks best."""
-    sigma_w = tuning.SIGMA_W_TRACKING[estimator]
-    return dict(estimator=estimator, sigma_w=sigma_w, process_noise="printed")
+    return dict(estimator=estimator, process_noise="tracking")
 
 
-_FILTERED = dict(arrival_mean="filtered", sigma_w=_filtered_w)
+_SMOOTHED = dict(arrival_mean="smoothed")
 
 # id: fields of Scenario; a field may be a function of the process noise, the controller is one of
 # the Scenario
 RUNS = {
     "rhe": dict(),
-    "rhe_filtered": _FILTERED,
+    "rhe_smoothed": _SMOOTHED,
     "ekf": dict(estimator="ekf"),
     "oracle": _ORACLE,
     "no_slip": dict(estimator="rhe_no_slip"),
@@ -100,8 +92,9 @@ RUNS = {
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
-    # Slower, so it needs longer.
-    "cautious": dict(estimator="yaw_drift_ekf", controller=cautious.controller, duration_s=270.0),
+    # Slower, so it needs longer. The paper prints no W for a yaw drift.
+    "cautious": dict(estimator="yaw_drift_ekf", process_noise="likelihood", duration_s=270.0)
+    | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
     "rhe_uncertain": _UNSURE,
@@ -121,7 +114,7 @@ RUNS = {
 }
 LOGS = {
     "rhe": dict(),
-    "rhe_filtered": _FILTERED,
+    "rhe_smoothed": _SMOOTHED,
     "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
     "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
     "rhe_poor_start": dict(guess_yaw_rad=1.0),
@@ -159,7 +152,7 @@ def scenarios(fields, process_noise, seeds, world=None):
 
     Args:
         fields: Of RUNS or LOGS; they take precedence over those of the world.
-        process_noise: "printed" or "calibrated".
+        process_noise: "printed" or "likelihood".
         seeds: Seeds of the fields.
         world: Fields of Scenario.
     """

@@ -16,7 +16,7 @@ import pandas as pd
 
 from notebooks.claims import evidence as looks
 from notebooks.claims import run_sets
-from notebooks.claims.rules import CALIBRATED
+from notebooks.claims.rules import LIKELIHOOD
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, share
 from rhec import paper
 from rhec.simulation.scenario import Scenario
@@ -40,9 +40,9 @@ def _usable(world):
 def _process_noise(world, estimator):
     """Which W an estimator has in a world."""
     if estimator == "ekf":
-        return world.get("process_noise_ekf", "calibrated")
-    named = world.get("process_noise", "calibrated")
-    return named if named in tuning.SIGMA_W.get(estimator, {}) else "calibrated"
+        return world.get("process_noise_ekf", "likelihood")
+    named = world.get("process_noise", "likelihood")
+    return named if named in tuning.SIGMA_W.get(estimator, {}) else "likelihood"
 
 
 def _drive_s(fields, on_row):
@@ -78,7 +78,7 @@ def _is_driven(claim):
 
 def _tables_of(claim):
     """The tables (kind, id) of a claim, and whether it is judged on whole drives."""
-    tables = claim.rule.by_condition[CALIBRATED].tables
+    tables = claim.rule.by_condition[LIKELIHOOD].tables
     whole = all(kind == "runs" and id_ in _WHOLE_DRIVES for _, kind, id_ in tables)
     return [(kind, id_, whole) for _, kind, id_ in tables]
 
@@ -107,10 +107,10 @@ def _in_world(claim, found, place, fields):
     """The Finding of a claim in the world at `place`, where W is the world's."""
     rows = slice(place * fields, (place + 1) * fields)
     evidence = {
-        ("calibrated", kind, id_): found[kind, id_, whole][rows]
+        ("likelihood", kind, id_): found[kind, id_, whole][rows]
         for kind, id_, whole in _tables_of(claim)
     }
-    return claim.rule.by_condition[CALIBRATED](evidence)
+    return claim.rule.by_condition[LIKELIHOOD](evidence)
 
 
 # Verdicts in worlds

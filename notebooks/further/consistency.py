@@ -47,11 +47,11 @@ __all__ = [
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 ESTIMATORS = {  # fields of Scenario; W is printed, by likelihood, or consistent by `tune`
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
-    "EKF, calibrated": dict(estimator="ekf", process_noise="calibrated"),
+    "EKF, calibrated": dict(estimator="ekf", process_noise="likelihood"),
     "RHE, printed": dict(process_noise="printed"),
-    "RHE, calibrated": dict(process_noise="calibrated"),
+    "RHE, calibrated": dict(process_noise="likelihood"),
     "RHE, consistent": dict(process_noise="consistent"),
-    "bounded EKF, calibrated": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "bounded EKF, calibrated": dict(estimator="bounded_ekf", process_noise="likelihood"),
     "yaw-drift EKF, calibrated": dict(estimator="yaw_drift_ekf"),
     "traction oracle": dict(estimator="traction_oracle"),
 }

@@ -55,7 +55,7 @@ _FAULT_SCORES = ["worst_position_m", "worst_yaw_rad", "last_yaw_rad", "outside",
 def estimators(process_noise, of_the_rhe):
     """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of four others.
 
-    The W of the others is "printed" or "calibrated". Soil under recorded robots slips more than
+    The W of the others is "printed" or "likelihood". Soil under recorded robots slips more than
     that of the default world, so the calibrated W is the likeliest one on softer soil.
     """
     of_the_log = {name: of_the_rhe[name] for name in _OF_THE_LOG if name in of_the_rhe}

@@ -92,7 +92,7 @@ _MEANS = {ERROR: "mean_error_true_m", VIOLATIONS: "violations_true"}
 GAINS = {
     "RHE, W printed": dict(),
     "RHE, consistent": dict(process_noise="consistent"),
-    "bounded EKF, W by likelihood": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "bounded EKF, W by likelihood": dict(estimator="bounded_ekf", process_noise="likelihood"),
     "bounded EKF, W by tracking at R = 10": dict(
         estimator="bounded_ekf", sigma_w=tuning.SIGMA_W_TRACKING["bounded_ekf"]
     ),

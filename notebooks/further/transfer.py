@@ -30,9 +30,10 @@ from notebooks.studies.calibration import search
 from notebooks.studies.statistics import over_seeds
 from notebooks.studies.tables import interval_text
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import ekf, offline
+from rhec.core.estimator import ekf
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model
 from rhec.logs.calibration import calibrate
@@ -139,7 +140,7 @@ _RIVALS = {
 def _build_rival(model):
     """The scan of a Model's EKF."""
     step = ekf.build(model, paper.DT_S)["step"]
-    return offline.build(step, ["estimate", "covariance", "deviance"])
+    return runner.build_recorded(step, ["estimate", "covariance", "deviance"])
 
 
 def _parts(log):
@@ -164,7 +165,7 @@ def _filtered(rival, half, part, sigma):
     P = np.diag(np.square([1.0, 1.0, 0.3, *spread]))
     memory = pack_array(dict(m=m, P=P, v=np.zeros(len(rival.model.inputs)), started=0.0))
     functions = compiled.load(_build_rival, rival.model)
-    return offline.run(functions, memory, z, rival.settings(sigma))
+    return runner.record(functions, memory, z, rival.settings(sigma))
 
 
 def _rival(rival, half, parts, sigma):

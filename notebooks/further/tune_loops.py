@@ -94,7 +94,7 @@ def _error_m(loop, fields):
 def _first_points(loop):
     """Logarithms of the likeliest W with R = 10, 1 and 0.1, and other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
-    likeliest = tuning.SIGMA_W.get(kept["estimator"], {}).get("calibrated", ())
+    likeliest = tuning.SIGMA_W.get(kept["estimator"], {}).get("likelihood", ())
     bounds = np.array([BOUNDS[name] for name in unknowns])
     for r in (10.0, 1.0, 0.1):
         known = dict(r=r, q_theta=paper.Q3[2])

@@ -140,7 +140,7 @@ def forest(table, baseline):
 
     Args:
         table: Table of `notebooks.studies.interpretations.one_at_a_time`.
-        baseline: Process noise of the baseline, "printed" or "calibrated".
+        baseline: Process noise of the baseline, "printed" or "likelihood".
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names = others["interpretation"]

@@ -155,7 +155,7 @@ def weight_sweep(table, process_noise):
 
     Args:
         table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
-        process_noise: Process noise of the drives, "printed" or "calibrated".
+        process_noise: Process noise of the drives, "printed" or "likelihood".
     """
     figure, panels = parts.panels_beside(2, 1.5)
     for axes, quantity in zip(panels, ("settling time [s]", "overshoot [m]")):

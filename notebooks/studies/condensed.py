@@ -11,7 +11,6 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.simulation.closed_loop import first_guess
-from rhec.tracked_robot.live import PaperRHC
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.rhc import horizon_of
 
@@ -35,18 +34,9 @@ def controller(scenario, solver):
     return rhec.Controller(rhc.build_phases(horizon)["step"], memory)
 
 
-def live(solver, **options):
-    """The paper's controller for a user's control loop, `rhec.RHC(**options)`, likewise."""
-
-    class CondensedRHC(PaperRHC):
-        qp = Condensed(solver)
-
-    return CondensedRHC(**options)
-
-
 @dataclass(frozen=True)
 class Condensed:
-    """The option of a Horizon to condense its QP; `solver` is "daqp" or "qpoases"."""
+    """The option `qp` of a Horizon, or of `rhec.RHC`; `solver` is "daqp" or "qpoases"."""
 
     solver: str
 

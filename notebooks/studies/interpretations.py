@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg
 
+import rhec
 from notebooks.claims import run_sets
 from notebooks.studies import calibration, statistics
 from notebooks.studies.tables import interval_texts, signed
@@ -22,7 +23,6 @@ from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.live import PaperRHE
 
 __all__ = [
     "ENTRIES",
@@ -55,9 +55,9 @@ class _Entry(NamedTuple):
 
     @property
     def values(self):
-        """{"printed": σ, "calibrated": σ}."""
+        """{"printed": σ, "likelihood": σ}."""
         place = _PLACES[self.state][0]
-        noises = ("printed", "calibrated")
+        noises = ("printed", "likelihood")
         return {name: tuning.SIGMA_W[self.estimator][name][place] for name in noises}
 
 
@@ -131,7 +131,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     deviations = []
     for sigma in sigma_kappa:
         sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
-        estimator = PaperRHE(sigma_w=sigma_w, guess=guess)
+        estimator = rhec.RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
             estimate = estimator.feedback(measurement)
@@ -194,7 +194,7 @@ def sweep_of(name, seeds):
     The first result has the runs for pictures alone.
     """
     entry = ENTRIES[name]
-    values = (entry.values["printed"], *_BETWEEN[name], entry.values["calibrated"])
+    values = (entry.values["printed"], *_BETWEEN[name], entry.values["likelihood"])
     runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
     return {value: runs[value] for value in values[_SHOWN[name]]}, table
 
@@ -207,7 +207,7 @@ def likelihood_profile(estimator, state, factors, seeds=3):
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
-    calibrated = tuning.SIGMA_W[estimator]["calibrated"]
+    calibrated = tuning.SIGMA_W[estimator]["likelihood"]
     sigmas = [factor * calibrated[_PLACES[state][0]] for factor in factors]
     sigma_w = [_with_entry(calibrated, state, sigma) for sigma in sigmas]
     deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
@@ -238,7 +238,7 @@ INTERPRETATIONS = {
     "R4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
     "R5": ("window of N terms", dict(estimation_horizon=14), dict()),
     "R6, R13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
-    "R7": ("prior mean filtered", dict(arrival_mean="filtered"), dict()),
+    "R7": ("prior mean smoothed", dict(arrival_mean="smoothed"), dict()),
     "R8": ("path's yaw rate as reference", dict(input_reference="curvature")),
     "R9": ("backwards, λ = 1", dict(backwards=True)),
     "R10": ("command one sample late", dict(command_delay=1)),
@@ -271,14 +271,14 @@ def one_at_a_time(baseline, seeds):
     R1 and R2 are the other W, for one estimator at a time.
 
     Args:
-        baseline: Its process noise, "printed" or "calibrated".
+        baseline: Its process noise, "printed" or "likelihood".
         seeds: How many fields, from seed 0 on.
 
     Returns:
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
         with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
     """
-    other = "calibrated" if baseline == "printed" else "printed"
+    other = "likelihood" if baseline == "printed" else "printed"
     interpretations = {
         "baseline": ("baseline", dict()),
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),

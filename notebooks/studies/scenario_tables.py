@@ -32,7 +32,7 @@ __all__ = [
     "yaw_weights",
 ]
 
-PROCESS_NOISES = ("printed", "calibrated")
+PROCESS_NOISES = ("printed", "likelihood")
 REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
     ("EKF", "mean_error_m"): paper.MEAN_ERROR_EKF_M,

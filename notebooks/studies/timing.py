@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
+import rhec
 from notebooks.studies import condensed
 from rhec import paper
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.simulate import simulate
-from rhec.tracked_robot.live import PaperRHC, PaperRHE
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
@@ -35,9 +35,9 @@ __all__ = [
 
 # The RHC by the solver of its QP: condensed, as in the paper, and by stages.
 CONTROLLERS = {
-    "qpoases": partial(condensed.live, "qpoases"),
-    "daqp": partial(condensed.live, "daqp"),
-    "structured": PaperRHC,
+    "qpoases": partial(rhec.RHC, qp=condensed.Condensed("qpoases")),
+    "daqp": partial(rhec.RHC, qp=condensed.Condensed("daqp")),
+    "structured": rhec.RHC,
 }
 PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
 
@@ -54,7 +54,7 @@ def phases(scenario, controller):
     """
     (run,) = simulate([scenario])  # one run does not pay for compiling its loop
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
-    estimator = PaperRHE(process_noise=scenario.process_noise, guess=guess)
+    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=guess)
     controller = controller(q=scenario.q, r=scenario.r)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()

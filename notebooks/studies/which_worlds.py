@@ -94,8 +94,8 @@ PRIORS = {
 }
 _DISCRETE = ("command_delay",)
 
-W_RHE = ("printed", "calibrated", "consistent")
-W_EKF = ("printed", "calibrated")
+W_RHE = ("printed", "likelihood", "consistent")
+W_EKF = ("printed", "likelihood")
 
 
 class Statement(NamedTuple):
@@ -188,10 +188,10 @@ def fields_of(world):
 def _with_w(estimator, w):
     """The fields of Scenario that give an estimator one of its process noises W.
 
-    "calibrated" is the one by likelihood on softer soil, μ = 0.9 ± 0.04 and κ = 0.8 ± 0.08. That of
+    "likelihood" is the one by likelihood on softer soil, μ = 0.9 ± 0.04 and κ = 0.8 ± 0.08. That of
     the default world is no choice here, because that world is itself the posterior's centre.
     """
-    if w == "calibrated":
+    if w == "likelihood":
         return dict(estimator=estimator, sigma_w=tuning.SIGMA_W_MORE_SLIP[estimator])
     return dict(estimator=estimator, process_noise=w)
 

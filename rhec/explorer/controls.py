@@ -78,7 +78,11 @@ ESTIMATORS = {
     "oracle": "oracle",
     "traction_oracle": "traction oracle",
 }
-PROCESS_NOISES = (("printed", "printed"), ("calibrated", "calibrated"), ("custom", "custom"))
+PROCESS_NOISES = (
+    ("usual", None),
+    *((name, name) for name in ("printed", "likelihood", "consistent")),
+    ("custom", "custom"),
+)
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
@@ -105,7 +109,7 @@ GROUPS = {
     "Estimator": (
         _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
         _selection("speed_model", "speed ν", _SPEEDS),
-        _selection("arrival_mean", "arrival mean", ("smoothed", "filtered")),
+        _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
         *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
     ),
     "Controller": (
@@ -180,9 +184,7 @@ def values_of(scenario):
     """
     noise = scenario.process_noise
     values = vars(scenario) | dict(
-        sigma_w=sigma_w_shown(scenario),
-        sigma_v=tuning.sigma_v_of(scenario),
-        arrival_mean=Choice.of(scenario).arrival_mean,
+        sigma_w=sigma_w_shown(scenario), sigma_v=tuning.sigma_v_of(scenario)
     )
     is_offered = scenario.sigma_w is None and noise in dict(PROCESS_NOISES).values()
     keys = [*CONTROLS, "seed", "patches"]
@@ -196,7 +198,7 @@ def sigma_w_shown(scenario):
     """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
     if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
         return scenario.sigma_w
-    return tuning.SIGMA_W["rhe"][scenario.process_noise]
+    return tuning.SIGMA_W["rhe"][scenario.process_noise or "printed"]
 
 
 def scenario_of(values, estimator, start):
@@ -226,14 +228,13 @@ def scenario_of(values, estimator, start):
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     if settings["process_noise"] == "custom":
         is_listed = start.process_noise in dict(PROCESS_NOISES).values()
-        settings["process_noise"] = start.process_noise if is_listed else "calibrated"
+        settings["process_noise"] = start.process_noise if is_listed else None
         settings["sigma_w"] = _sigma_w_for_estimator(settings)
     else:
         settings["sigma_w"] = None
     # None means the default for the process noise, which keeps the printed scenario short.
-    for name, usual in (("sigma_v", tuning.SIGMA_V), ("arrival_mean", tuning.ARRIVAL_MEAN)):
-        if settings[name] == usual[settings["process_noise"]]:
-            settings[name] = None
+    if settings["sigma_v"] == tuning.SIGMA_V[settings["process_noise"] or "printed"]:
+        settings["sigma_v"] = None
     return Scenario(**settings)
 
 
@@ -245,7 +246,7 @@ def _sigma_w_for_estimator(settings):
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
     # The yaw drift has no slider.
-    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["calibrated"]
+    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["likelihood"]
     six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 

@@ -339,7 +339,7 @@ class Explorer(widgets.VBox):
             slider.disabled = noise != "custom"
             if slider.disabled:
                 self.is_paused = True  # no run follows this change
-                slider.value = tuning.SIGMA_W["rhe"][noise][place]
+                slider.value = tuning.SIGMA_W["rhe"][noise or "printed"][place]
                 self.is_paused = False
 
     def _show_status(self, message, kind=""):

@@ -2,18 +2,19 @@
 
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from rhec.logs import bag_frames
 from rhec.logs.bag_fields import fields_of, listed
+from rhec.logs.bag_files import files_of, opened
 from rhec.simulation.columns import TRACKS
 
-SUFFIXES = (".bag", ".db3", ".mcap")
+MOST_VALUES = 20_000_000  # of a log; more would take minutes and gigabytes
 _POSITION = ["x_m", "y_m", "position_sigma_m"]
 _UNKNOWN_VARIANCE = 1e4  # [m²] variances as large stand for "unknown"
 _FILTERED = "filtered"  # in the name of a topic: an estimate that has seen the encoders
@@ -261,6 +262,7 @@ def _messages(bag, readings):
     static = {name for name, kind in bag.types.items() if kind == bag_frames.TYPE}
     static = {name for name in static if name.endswith("static")}
     topics = {reading.topic for reading in readings}
+    n_values = 0
     for topic, received_ns, message in bag.messages(topics | static):
         if topic in static:
             messages.frames.add(message)
@@ -270,6 +272,9 @@ def _messages(bag, readings):
                 messages.stamps_ns[reading.name].append(_stamp_ns(message, received_ns))
                 messages.values[reading.name].append(reading.values(message))
                 messages.sensor_frames.setdefault(reading.name, _frame(message))
+                n_values += len(reading.columns)
+        if n_values > MOST_VALUES:
+            raise ValueError(f"its topics have more than {MOST_VALUES} values")
     return messages
 
 
@@ -358,46 +363,6 @@ def _add_lever_arm(table, messages, inferred):
 # Files
 
 
-class Bag:
-    """A bag that rosbags can open.
-
-    Args:
-        reader: The rosbags AnyReader, opened.
-
-    Attributes:
-        types: {topic: type of its messages}.
-    """
-
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-        self.types = {name: topic.msgtype or "" for name, topic in reader.topics.items()}
-
-    def messages(self, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
-        """(topic, time of reception [ns], message) of each message of these topics.
-
-        Raises:
-            ValueError: For a type whose definition is not in the bag.
-        """
-        chosen = [each for each in self._reader.connections if each.topic in topics]
-        known = self._reader.typestore.fielddefs
-        for each in chosen:
-            if each.msgtype not in known:
-                raise ValueError(
-                    f"{each.topic} has messages of type {each.msgtype}, whose definition is not in "
-                    "the bag; an .mcap, or a bag by ROS 2 Iron or later, has the definitions"
-                )
-        # No topics would be all topics.
-        for connection, received_ns, raw in self._reader.messages(chosen) if chosen else ():
-            yield connection.topic, received_ns, self._reader.deserialize(raw, connection.msgtype)
-
-
-def files_of(path: Path) -> list[Path]:
-    """The files with the messages of a bag, which is a file or a folder."""
-    if path.is_dir():
-        return sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
-    return [path]
-
-
 def read_bag(
     file: Path,
     topics: tuple[str, ...] | None,
@@ -416,18 +381,10 @@ def read_bag(
     Raises:
         ValueError: If rosbags is not installed, or if the bag cannot be read.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError:
-        raise ValueError("a bag needs the package rosbags: pip install 'rhec[logs]'") from None
     files = files_of(file)
-    # A folder of .bag files is one recording in parts, and so is one without its metadata.
-    is_described = (file / "metadata.yaml").is_file()
-    whole = [file] if is_described else files
     try:
-        with AnyReader(whole, default_typestore=get_typestore(Stores.LATEST)) as reader:
-            return _read(Bag(reader), topics, columns, wheel_radius_m)
+        with opened(files) as bag:
+            return _read(bag, topics, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
         if type(error) is ValueError:
             raise

@@ -18,11 +18,12 @@ import pandas as pd
 from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator import kalman, offline
+from rhec.core.estimator import kalman
 from rhec.core.estimator.base import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
@@ -176,7 +177,7 @@ def _build_filter(names):
         recorded = dict(estimate=after.m, variances=ca.diag(after.P), loss=after.deviance)
         return recorded | after.memory
 
-    return offline.build(step, ["estimate", "variances", "loss"])
+    return runner.build_recorded(step, ["estimate", "variances", "loss"])
 
 
 def _values(x, names):
@@ -229,7 +230,7 @@ def _filtered(z, x, yaw_rad, robot):
     )
     functions = compiled.load(_build_filter, robot.sensors)
     settings = estimator_of("rhe").settings(scenario)
-    return offline.run(functions, pack_array(memory), z, settings)
+    return runner.record(functions, pack_array(memory), z, settings)
 
 
 def _driven(z):

@@ -15,10 +15,11 @@ import pandas as pd
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import kalman, offline
+from rhec.core.estimator import kalman
 from rhec.core.estimator.base import joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.filter import Filter, Noise
@@ -66,7 +67,7 @@ def _build_filter(model, dt_s):
         recorded = dict(estimate=after.m, variances=ca.diag(after.P), loss=after.deviance)
         return recorded | after.memory
 
-    return offline.build(step, ["estimate", "variances", "loss"])
+    return runner.build_recorded(step, ["estimate", "variances", "loss"])
 
 
 class _Search:
@@ -94,7 +95,8 @@ class _Search:
         """The records of the filter in each segment."""
         settings = noise_of(self.model, *self.sigmas(x))
         return [
-            offline.run(self._functions, self._memory, stream, settings) for stream in self.segments
+            runner.record(self._functions, self._memory, stream, settings)
+            for stream in self.segments
         ]
 
     def objective(self, x: np.ndarray) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 
 from rhec.logs.reader import degrees_at
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
+from rhec.style import replacing
 
 # What write_estimates may write.
 FILES = (
@@ -32,8 +33,10 @@ def write_estimates(estimates, folder):
         folder: Path of the folder, which is created if needed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    estimates.to_csv(folder / "estimates.csv", index=False)
-    estimates.to_parquet(folder / "estimates.parquet")
+    with replacing(folder / "estimates.csv") as unfinished:
+        estimates.to_csv(unfinished, index=False)
+    with replacing(folder / "estimates.parquet") as unfinished:
+        estimates.to_parquet(unfinished)
     x, y, yaw = ESTIMATE[:3]
     _write_path(folder / "estimated.tum", estimates, x, y, estimates[yaw])
     x, y = MEASUREMENTS[:2]
@@ -60,14 +63,16 @@ def write_traction(estimates, file):
     file = Path(file)
     labels = estimates[_TRACTION].dropna(subset=_TRACTION[:5])
     labels.attrs = {}  # the remarks and faults are those of the replay
-    if file.suffix == ".csv":
-        labels.to_csv(file, index=False)
-    elif file.suffix == ".parquet":
-        labels.to_parquet(file, index=False)
-    elif file.suffix == ".geojson":
-        file.write_text(_geojson(labels, estimates.attrs.get("origin")), encoding="utf-8")
-    else:
+    if file.suffix not in (".csv", ".parquet", ".geojson"):
         raise ValueError(f"file was {str(file)!r}; it should end in .csv, .parquet or .geojson")
+    with replacing(file) as unfinished:
+        if file.suffix == ".csv":
+            labels.to_csv(unfinished, index=False)
+        elif file.suffix == ".parquet":
+            labels.to_parquet(unfinished, index=False)
+        else:
+            text = _geojson(labels, estimates.attrs.get("origin"))
+            unfinished.write_text(text, encoding="utf-8")
 
 
 def _geojson(labels, origin):
@@ -94,4 +99,5 @@ def _write_path(file, estimates, x, y, yaw_rad):
         z=0.0, qx=0.0, qy=0.0, qz=np.sin(yaw_rad / 2), qw=np.cos(yaw_rad / 2)
     )
     path = path.dropna(subset=[x, y]).drop_duplicates("t_s")
-    np.savetxt(file, path, fmt="%.9f")
+    with replacing(file) as unfinished:
+        np.savetxt(unfinished, path, fmt="%.9f")

@@ -5,21 +5,22 @@ No content of a file is executed. `log.attrs["inferred"]` lists what the reader 
 
 import itertools
 import re
+import warnings
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
+from unicodedata import category
 
 import numpy as np
 import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
-from rhec.logs.bags import SUFFIXES, files_of, read_bag
+from rhec.logs.bag_files import SUFFIXES, files_of
+from rhec.logs.bags import MOST_VALUES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
-# Larger files are no logs, and would take minutes and gigabytes to read.
-_MOST_VALUES = 50_000_000
 _MOST_COLUMNS = 10_000
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
@@ -100,8 +101,11 @@ def read(
             log.attrs.pop("lever_arm_m", None)  # of a replay, which the file may bring along
             inferred = {}
     except Exception as error:  # any error that a reader raises for a broken file
-        problem = shorten(str(error), _LONGEST_PROBLEM, placeholder=" …")  # in one line
+        problem = _printable(shorten(str(error), _LONGEST_PROBLEM, placeholder=" …"))
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
+    # What a file says is shown to people, on terminals that would obey it.
+    log.columns = [_printable(str(name)) for name in log]
+    inferred = {name: _printable(value) for name, value in inferred.items()}
     read = log.attrs.pop("fields", []) if is_bag else []
     for name, column in (columns or {}).items():
         if name in read:
@@ -115,6 +119,14 @@ def read(
     log = _in_metres(log, inferred)
     log.attrs["inferred"] = inferred
     return log
+
+
+def _printable(text):
+    r"""Text in which control characters, and those that turn its direction, are as \x1b."""
+    return "".join(
+        letter.encode("unicode_escape").decode() if category(letter).startswith("C") else letter
+        for letter in text
+    )
 
 
 def _is_path(file):
@@ -136,17 +148,33 @@ def _read_csv(file):
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
     decimal = "," if separator != "," and has_commas else "."
     has_header = not all(_is_number(name) for name in names.split(separator))
-    n_columns = names.count(separator) + 1
+    n_columns = max((line.count(separator) for line in head), default=0) + 1
     if n_columns > _MOST_COLUMNS:
         raise ValueError(f"it has {n_columns} columns, and should have at most {_MOST_COLUMNS}")
-    table = pd.read_csv(
-        file,
-        sep=r"\s+" if separator == " " else separator,
-        decimal=decimal,
-        encoding="utf-8-sig",
-        skipinitialspace=True,
-        header=0 if has_header else None,
-    )
+    most_rows = MOST_VALUES // n_columns
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                file,
+                sep=r"\s+" if separator == " " else separator,
+                decimal=decimal,
+                encoding="utf-8-sig",
+                skipinitialspace=True,
+                header=0 if has_header else None,
+                index_col=False,  # else the first column of rows that are too long is no column
+                nrows=most_rows + 1,
+            )
+    except pd.errors.ParserWarning:
+        raise ValueError(
+            "its rows have more entries than its line of names; an entry may contain the "
+            f"separator ({_SEPARATORS[separator]}), or a name may be missing"
+        ) from None
+    if len(table) > most_rows:
+        raise ValueError(
+            f"it has more than {most_rows} rows of {n_columns} columns, and should have at most "
+            f"{MOST_VALUES} values"
+        )
     # `rostopic echo -p` begins the line of names with %, other loggers begin it with #.
     table.columns = [str(name).strip().lstrip("%# ") for name in table]
     inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
@@ -169,8 +197,8 @@ def _read_parquet(file):
 
     metadata = pq.read_metadata(file)
     n_values = metadata.num_rows * metadata.num_columns
-    if n_values > _MOST_VALUES:
-        raise ValueError(f"it has {n_values} values, and should have at most {_MOST_VALUES}")
+    if n_values > MOST_VALUES:
+        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
     return pd.read_parquet(file, engine="pyarrow")
 
 

@@ -18,11 +18,11 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function, packed_size, unpack
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.estimator import offline
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model, interval
@@ -159,7 +159,7 @@ def build_replay(*choice):
         recorded = _recorded(choice, outputs, z)
         return dict(memory=ca.vertcat(outputs["memory"], recorded["estimate"])) | recorded
 
-    return offline.build(replay_step, _RECORDED)
+    return runner.build_recorded(replay_step, _RECORDED)
 
 
 def _moved_to_sample(motion, last, z, ages_s):
@@ -302,7 +302,7 @@ def _run(functions, scenario, z, age_s, yaw_rad, first):
     nu = np.nan_to_num(z[0, 2])
     memory = first_memory(scenario, (x, y, yaw_rad), nu, first)
     stream = np.column_stack([z, age_s])
-    arrays = offline.run(functions, memory, stream, settings_of_replay(scenario))
+    arrays = runner.record(functions, memory, stream, settings_of_replay(scenario))
     rows = np.column_stack([arrays[name] for name in _RECORDED])
     rows[:begin] = np.nan
     return rows
@@ -751,10 +751,9 @@ def replay_scenario(estimator, recording, fields):
         )
     fields = dict(speed_model="slipping") | fields
     if fields["speed_model"] == "slipping":
-        # Unlike the paper's smoothed mean, the filtered one counts each measurement once.
         is_rhe = estimator == "rhe"
         present = recording.sensors if is_rhe else ()
-        fields = dict(arrival_mean="filtered", sensors=present) | fields
+        fields = dict(sensors=present) | fields
         if fields.get("sigma_v") is None:
             fields["sigma_v"] = _sigma_v_of_log(recording)
     _refuse_missing_sensors(fields.get("sensors", ()), recording)

@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import offline
 from rhec.core.estimator.base import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
@@ -54,7 +54,7 @@ def _build_filter(speed_model, names):
         return dict(estimate=after.m, covariance=after.P) | predicted | after.memory
 
     outputs = ["estimate", "covariance", "m_predicted", "P_predicted", "A"]
-    return offline.build(step, outputs, [*streamed])
+    return runner.build_recorded(step, outputs, [*streamed])
 
 
 def smoothed(choice, settings, sigma_first, trajectory, z, age_s):
@@ -75,7 +75,7 @@ def smoothed(choice, settings, sigma_first, trajectory, z, age_s):
     s = trajectory
     for _ in range(_ITERATIONS):
         stream = np.column_stack([z, age_s, np.vstack([s[:1], s[:-1]]), s])
-        recorded = offline.run(functions, pack_array(begin), stream, settings)
+        recorded = runner.record(functions, pack_array(begin), stream, settings)
         s, P = _backwards(recorded)
     return s, _CORRELATED * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0))
 

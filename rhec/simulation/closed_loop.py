@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhec import paper
-from rhec.core import blocks
-from rhec.core._casadi import build, early, packing, scan
+from rhec.core import blocks, runner
+from rhec.core._casadi import build, early, packing
 from rhec.core.controller import rhc
 from rhec.simulation import faults
 from rhec.simulation.blocks import blocks_of
@@ -32,11 +32,11 @@ from rhec.tracked_robot.terrain import Terrain
 
 
 def build_sample(loop, settings):
-    """The closed loop of these blocks as a scan: {name: Function} of `scan.build_scan`.
+    """The closed loop of these blocks, {name: Function} of `runner.build`.
 
     One sample is (memory, noise, settings …) -> (memory, row, covariance).
     """
-    return scan.build_scan(blocks.sample(loop, settings, ["row"], ["covariance"]))
+    return runner.build(blocks.sample(loop, settings, ["row"], ["covariance"]))
 
 
 @dataclass(frozen=True)
@@ -196,14 +196,8 @@ def simulate_setup(scenario, setup):
     functions = early.load(build_sample, *setup.structure)
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples, setup.draws)
-    _, rows = scan.scan(functions, setup.memory, stream, setup.settings)
-    return finish(scenario, setup, rows)
-
-
-def finish(scenario, setup, rows):
-    """The Run whose loop yielded these rows (n, LOG): its columns and metrics."""
-    (run,) = finish_all([scenario], [setup], [rows])
-    return run
+    rows = runner.run_one(functions, setup.memory, stream, setup.settings)
+    return finish_all([scenario], [setup], [rows])[0]
 
 
 def finish_all(scenarios, setups, logs):

@@ -4,9 +4,10 @@ import functools
 
 import numpy as np
 
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import offline
+from rhec.core.lanes import lanes
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import build_step, estimator_of
@@ -16,11 +17,11 @@ SETTLED_S = 20.0  # by then the exact first guess no longer matters
 
 
 @functools.lru_cache(maxsize=8)
-def _build_scan(outputs, choice):
-    """Scan of an estimator's step over measurements, and the traction where it takes one."""
+def _build(outputs, choice):
+    """An estimator's step over measurements, and the traction where it takes one."""
     step = build_step(Choice(*choice))
     streamed = ["traction"] if "traction" in step.name_in() else []
-    return offline.build(step, outputs, streamed)
+    return runner.build_recorded(step, outputs, streamed)
 
 
 def columns(run, names):
@@ -31,18 +32,24 @@ def columns(run, names):
 def run_estimator_on_all(scenario, runs, *outputs):
     """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
 
-    The estimator starts where the robot is.
+    The estimator starts where the robot is. It runs in lanes where there are any.
     """
+    structure = outputs, Choice.of(scenario)
+    step = _build(*structure)["step"]
+    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
+    rows = runner.run(lanes.program(_build, *structure), memories, streams, settings)
+    return [runner.by_name(step, of_run) for of_run in rows]
+
+
+def run_estimator(scenario, run, *outputs):
+    """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
+    functions = compiled.load(_build, outputs, Choice.of(scenario))
+    return runner.record(functions, *_arguments(functions["step"], scenario, run))
+
+
+def _arguments(step, scenario, run):
+    """The estimator's first memory, the stream (n, columns) of its inputs, and its settings."""
     choice = Choice.of(scenario)
-    structure = outputs, choice
-    n_columns = _build_scan(*structure)["step"].size1_in(1)
-    inputs = [_memory_and_stream(choice, run, n_columns) for run in runs]
-    settings = estimator_of(choice.estimator).settings(scenario)
-    return offline.run_all(_build_scan, structure, *zip(*inputs), [settings] * len(runs))
-
-
-def _memory_and_stream(choice, run, n_columns):
-    """The estimator's first memory, and the stream (n, n_columns) of its inputs."""
     estimator = estimator_of(choice.estimator)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
@@ -53,20 +60,7 @@ def _memory_and_stream(choice, run, n_columns):
     )
     stream = np.hstack([columns(run, MEASUREMENTS), traction])
     # The traction is not in the stream of an estimator that takes none.
-    return memory, stream[:, :n_columns]
-
-
-def scan_arguments(scenario, run, *outputs):
-    """Arguments of `offline.run` for outputs of a scenario's estimator on a run's measurements."""
-    choice = Choice.of(scenario)
-    functions = compiled.load(_build_scan, outputs, choice)
-    inputs = _memory_and_stream(choice, run, functions["step"].size1_in(1))
-    return functions, *inputs, estimator_of(choice.estimator).settings(scenario)
-
-
-def run_estimator(scenario, run, *outputs):
-    """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
-    return offline.run(*scan_arguments(scenario, run, *outputs))
+    return memory, stream[:, : step.size1_in(1)], estimator.settings(scenario)
 
 
 def sigma_of_traction(run):

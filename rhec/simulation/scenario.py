@@ -37,10 +37,12 @@ class Scenario:
     metre without a yaw rate of its tracks, which the controller cancels); "drift_oracle" (an EKF
     with the true traction and yaw drift). Or a CasADi Function (memory, z) -> (memory, estimate),
     whose memory starts as the first guess (x, y, θ, ν, μ, κ) followed by zeros."""
-    process_noise: options.ProcessNoise = "printed"
-    """W by name. "printed" is the paper's; "calibrated" is the likeliest for training seeds (R1,
-    R2); "consistent" makes the covariance of the RHE match its errors, and sets sigma_v and
-    arrival_mean, too, where these are None."""
+    process_noise: options.ProcessNoise | None = None
+    """W by name (R1, R2). "printed": the paper's; "likelihood": the likeliest on training seeds;
+    "consistent": makes the covariance match the errors there, and sets sigma_v, too, where that is
+    None; "tracking": has the least true error there with the paper's controller. None: "printed"
+    for an RHE, "likelihood" for a filter, which with W as printed loses its heading. Likelihood is
+    the one rule that needs no truth, so that it could have been followed in the field."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
     """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
@@ -56,11 +58,10 @@ class Scenario:
     interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows with
     the distance of the tracks, also sideways, which is not in the paper."""
     slip: options.Slip | None = None
-    """Constants of the speed model "slipping", in the order of `tuning.SLIP`; a sixth is that of
-    slip to the side that lasts, `tuning.LASTING_SLIP`."""
-    arrival_mean: ArrivalMean | None = None
-    """Prior mean of the arrival cost. "smoothed": from the previous solution of the RHE, as in the
-    paper; "filtered": from the EKF update (R7); None: the one that fits process_noise."""
+    """Constants of the speed model "slipping", in the order of `tuning.SLIP`."""
+    arrival_mean: ArrivalMean = "filtered"
+    """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
+    of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (R7)."""
     yaw_rate_interval: Literal["before", "after"] = "before"
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log

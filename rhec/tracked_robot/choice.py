@@ -53,15 +53,15 @@ class Choice(NamedTuple):
         """
         name = scenario.estimator
         noise = scenario.process_noise
-        noises = tuple(tuning.SIGMA_W.get(name, tuning.ARRIVAL_MEAN))
-        if noise not in noises:
-            expected = f"for the estimator {name!r} it should be one of {noises}"
+        noises = tuple(tuning.SIGMA_W.get(name, {}))
+        if noises and noise is not None and noise not in noises:
+            expected = f"for the estimator {name!r} it should be None or one of {noises}"
             raise ValueError(f"process_noise was {noise!r}; {expected}")
         return cls(
             name.serialize() if isinstance(name, ca.Function) else name,
             scenario.estimation_horizon,
             scenario.speed_model,
-            scenario.arrival_mean or tuning.ARRIVAL_MEAN[noise],
+            scenario.arrival_mean,
             sensors=scenario.sensors,
         )
 

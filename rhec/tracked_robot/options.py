@@ -3,25 +3,17 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
 
-ProcessNoise = Literal["printed", "calibrated", "consistent"]
+ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 
 
-def _five_or_six(slip):
-    """The constants of `tuning.SLIP`, and that of `tuning.LASTING_SLIP` or not."""
-    if len(slip) not in (5, 6):
-        raise PydanticCustomError("entries", "it should have 5 or 6 entries")
-    return slip
-
-
-# Standard deviations of (x, y, ν, ω), constants of slip, weights of (x, y, θ), and μ or κ.
+# Standard deviations of (x, y, ν, ω), constants of `tuning.SLIP`, weights of (x, y, θ), and μ or κ.
 SigmaV = tuple[Positive, Positive, Positive, Positive]
-Slip = Annotated[tuple[NotNegative, ...], AfterValidator(_five_or_six)]
+Slip = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
 # Sensors besides GNSS and encoders, the noise of a gyro: constant [rad/s], and as a share of ω.
 Sensors = tuple[Literal["gyro", "heading"], ...]
 SigmaGyro = tuple[Positive, NotNegative]

@@ -45,7 +45,18 @@ def window_of(choice):
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
         model = with_sensors(choice.speed_model, choice.sensors).model
-    return rhe.Window(model, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, JUDGE)
+    return _window(model, choice)
+
+
+def _window(model, choice):
+    return rhe.Window(
+        model,
+        choice.dt_s,
+        choice.estimation_horizon,
+        choice.arrival_mean,
+        JUDGE,
+        quantities=QUANTITIES,
+    )
 
 
 def init(window, guess, sigma=SIGMA_START):
@@ -69,72 +80,60 @@ def sigma_start(model, sigma=SIGMA_START):
     return np.array([known.get(name, _SIGMA_KNOWN) for name in model.joint_names])
 
 
-def settings_of(speed_model, process_noise, sigma_w, sigma_v, slip, sensors=(), **constants):
+def settings_of(scenario, dt_s=paper.DT_S):
     """The settings of the RHE, eq. (9), (15): variances V, W and P_0, and the noise's constants c.
 
-    Standard deviations `sigma_w` are by default those tuned for `process_noise`. `slip` has the
-    first constants of the motion noise, as in `tuning.SLIP`; `constants` has others by name.
-    `sigma_v` covers the `sensors`, too.
+    Args:
+        scenario: A Scenario, or what has its fields about the RHE.
+        dt_s: Length of a sample [s].
     """
-    kind = with_sensors(speed_model, sensors)
+    sensors = scenario.sensors
+    kind = with_sensors(scenario.speed_model, sensors)
+    of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
-        V=np.square(sigma_v),
-        W=np.square(_sigma_w(speed_model, process_noise, sigma_w, kind, constants)),
+        V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),
+        W=np.square(_sigma_w(scenario, kind, dt_s)),
         P_0=np.square(sigma_start(kind.model)),
         m_0=np.array([_RESTART.get(name, 0.0) for name in kind.model.joint_names]),
     )
     if kind.model.motion_noise:
-        defaults = kind.model.motion_noise.constants
-        constants |= dict(zip(defaults, slip or ()))
-        settings["c"] = np.array([*(defaults | constants).values()])
+        constants = dict(kind.model.motion_noise.constants)
+        constants |= dict(zip(tuning.SLIP, scenario.slip or ()))
+        constants |= tuning.gyro_constants(sensors, scenario.sigma_gyro)
+        constants |= dict(track_width_m=scenario.track_width_m, dt_s=dt_s)
+        settings["c"] = np.array([*constants.values()])
     return settings
 
 
-def _sigma_w(speed_model, process_noise, sigma_w, kind, constants):
+def _sigma_w(scenario, kind, dt_s):
     """Standard deviations of the process noise of the joint state of a model with sensors.
 
-    `sigma_w` covers what the model without sensors estimates. The bias of a gyro wanders; where the
-    model has motion noise, that says how.
+    Those of a scenario cover what the model without sensors estimates. The bias of a gyro wanders;
+    where the model has motion noise, that says how.
     """
+    plain = speed_model_of(scenario.speed_model).model
+    sigma_w = scenario.sigma_w
     if sigma_w is None:
-        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][process_noise]))
-        plain = speed_model_of(speed_model).model
+        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
         sigma_w = kind.sigma_w or [tuned[name] for name in plain.joint_names]
-    noisy = speed_model_of(speed_model).model.joint_names[-kind.n_sigma_w :]
-    sigma = dict(zip(noisy, sigma_w))
+    sigma = dict(zip(plain.joint_names[-kind.n_sigma_w :], sigma_w))
     if not kind.model.motion_noise:
-        dt_s = constants.get("dt_s", paper.DT_S)
         sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
     return [sigma.get(name, 0.0) for name in kind.model.joint_names]
 
 
-def _settings(scenario):
-    sensors = scenario.sensors
-    of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
-    return settings_of(
-        scenario.speed_model,
-        scenario.process_noise,
-        scenario.sigma_w,
-        (*tuning.sigma_v_of(scenario), *of_sensors),
-        scenario.slip,
-        sensors,
-        **tuning.gyro_constants(sensors, scenario.sigma_gyro),
-        track_width_m=scenario.track_width_m,
-    )
-
-
 def build_phases(choice):
     """The phases and the step of the RHE of a Choice."""
-    return rhe.build_phases(window_of(choice), QUANTITIES)
+    return rhe.build_phases(window_of(choice))
 
 
 def _window_held(choice):
-    return rhe.Window(_HELD, choice.dt_s, choice.estimation_horizon, choice.arrival_mean, JUDGE)
+    return _window(_HELD, choice)
 
 
 def _build_held_step(choice):
     """The RHE with the traction held, as a Function (memory, z_N, V, W, m_0, P_0, traction)."""
-    step = rhe.build_phases(_window_held(choice), QUANTITIES)["step"]
+    step = rhe.build_phases(_window_held(choice))["step"]
     names = ("memory", "z_N", "V", "W", "m_0", "P_0")
     inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
     inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
@@ -167,7 +166,7 @@ ESTIMATORS = {
         build_step=lambda choice: build_phases(choice)["step"],
         build_phases=build_phases,
         init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),
-        settings=_settings,
+        settings=settings_of,
         states=lambda choice: window_of(choice).model.joint_names,
         n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,
     ),

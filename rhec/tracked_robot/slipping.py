@@ -14,7 +14,7 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 
 _EXACT = 1e-12  # variance of the tracks' speeds: errors of the encoders count as slip
-_WIDTH = len(tuning.SLIP) + len(tuning.LASTING_SLIP)  # place of the track width among the constants
+_WIDTH = len(tuning.SLIP)  # place of the track width among the constants
 LEVER_ARM = ("arm_forward_m", "arm_left_m")
 
 
@@ -56,21 +56,20 @@ def _abs_track_speeds(nu, omega, b):
 def _input_noise(v, R, c):
     """Mean and variances (5,) of the inputs: slip in proportion to the motion, turning by bumps.
 
-    v (5,) has the measured ν and ω, and R their variances; slip is not measured. c (8,) are the
-    constants of `tuning.SLIP` and `tuning.LASTING_SLIP`, then the track width [m] and the length of
-    a sample [s].
+    v (5,) has the measured ν and ω, and R their variances; slip is not measured. c (7,) are the
+    constants of `tuning.SLIP`, then the track width [m] and the length of a sample [s].
     """
-    share_nu, share_omega, share_side, sigma_bumps, side_slip_s, lasting, b, dt_s = ca.vertsplit(c)
+    share_nu, share_omega, share_side, sigma_bumps, side_slip_s, b, dt_s = ca.vertsplit(c)
     nu = v[0]
     omega = v[1]
     mean = ca.vertcat(nu, omega, 0, -side_slip_s * nu * omega, 0)
-    side = (share_side * b * omega) ** 2 + tuning.SIGMA_SIDE_SLIP_AT_REST**2
+    side = (share_side * b * omega) ** 2
     # In the order of the inputs: ν, ω, slip ahead, to the side, in turning.
     variances = ca.vertcat(
         _EXACT,
         _EXACT,
         R[0] + (share_nu * nu) ** 2,
-        side + (lasting * nu) ** 2 / dt_s,
+        side + tuning.SIGMA_SIDE_SLIP_AT_REST**2,
         R[1] + (share_omega * omega) ** 2 + sigma_bumps**2 * ca.fabs(nu) / dt_s,
     )
     return mean, variances
@@ -92,9 +91,7 @@ _MODEL = Model(
     f=f,
     max_measurement=_WITH_SPEED.limits,
     motion_noise=MotionNoise(
-        constants=tuning.SLIP
-        | tuning.LASTING_SLIP
-        | dict(track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S),
+        constants=tuning.SLIP | dict(track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S),
         inputs=_input_noise,
         process=_process_noise,
     ),

@@ -1,56 +1,53 @@
 """Every tuned process noise W in one place, with its source: standard deviations per sample.
 
+Each is named by the rule that picked it. All were tuned in the default world, with the arrival mean
+"filtered", on training seeds that no result uses (`notebooks/studies/calibration.py`):
+
 - "printed" is the paper's, to the letter (interpretations R1, R2).
-- "calibrated" maximises the likelihood of the innovations on training seeds 1000 to 1009 (the study
-  `calibration`).
-- "consistent" has the least true error among RHEs whose covariance matches their errors (NEES ≈ 1),
-  on training fields that are not those of the default world (the study `consistency`): soil of
-  μ = 0.9 ± 0.04 and κ = 0.8 ± 0.08, the same below both tracks, white errors of the position of
-  0.03 m, and white bumps of 0.02 rad/s. In the default world the search finds none whose every
-  state is within its band: slow errors of the position are not in the model. There this W has NEES
-  1.09 on the training seeds.
+- "likelihood" maximises the likelihood of the innovations, seeds 1000 to 1009.
+- "consistent" has the least true error among those whose covariance matches the errors (NEES ≈ 1),
+  same seeds.
+- "tracking" has the least true error of a robot that drives with the paper's weights, R = 10, seeds
+  1000 to 1023.
 """
 
 import numpy as np
 
 from rhec import paper
 
-
-def _not_the_papers(calibrated):
-    """W of an estimator for which the paper prints none: "printed" is the calibrated one, too."""
-    return dict(printed=calibrated, calibrated=calibrated)
-
-
 # Of (x, y, θ, ν, μ, κ) [m, m, rad, m/s, 1, 1], or of the first four where the traction is not
-# estimated. Variants of one of the paper's estimators have its W as the printed one.
+# estimated. The first of an estimator is its default: an RHE has the paper's; a filter that moves
+# its position by 10 m a sample to each fix, as printed, loses its heading.
 SIGMA_W = {
     "rhe": {
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.0036, 0.001, 0.001, 0.014),
+        "likelihood": (0.001, 0.001, 0.015, 0.001, 0.001, 0.001),
         "consistent": (0.075, 0.075, 0.001, 0.001, 0.017, 0.0079),
+        "tracking": (0.038, 0.038, 0.0012, 6.1, 6.1, 0.049),
     },
     "rhe_fixed_traction": {
         "printed": paper.SIGMA_W_RHE[:4],
-        "calibrated": (0.001, 0.001, 0.0067, 0.001),
+        "likelihood": (0.001, 0.001, 0.019, 0.001),
     },
-    "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "calibrated": (0.001, 0.001, 0.006, 0.001)},
-    "ekf": {"printed": paper.SIGMA_W_EKF, "calibrated": (0.001, 0.001, 0.0072, 0.001)},
+    "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "likelihood": (0.001, 0.001, 0.018, 0.001)},
+    "ekf": {"likelihood": (0.001, 0.001, 0.0072, 0.001), "printed": paper.SIGMA_W_EKF},
     "augmented_ekf": {
+        "likelihood": (0.001, 0.001, 0.0071, 0.001, 0.001, 0.0027),
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.0071, 0.001, 0.001, 0.0027),
     },
     "bounded_ekf": {
+        "likelihood": (0.001, 0.001, 0.007, 0.001, 0.001, 0.001),
         "printed": paper.SIGMA_W_RHE,
-        "calibrated": (0.001, 0.001, 0.007, 0.001, 0.001, 0.001),
+        "tracking": (0.001, 0.001, 0.27, 0.025, 0.36, 0.078),
     },
-    "fixed_traction": _not_the_papers((0.001, 0.001, 0.0075, 0.001)),
-    "traction_oracle": _not_the_papers((0.001, 0.001, 0.0075, 0.001)),
-    "drift_oracle": _not_the_papers((0.001, 0.001, 0.0053, 0.001)),
+    "fixed_traction": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
+    "traction_oracle": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
+    "drift_oracle": {"likelihood": (0.001, 0.001, 0.0053, 0.001)},
     # With the yaw drift [rad/m] as one more state.
-    "yaw_drift_ekf": _not_the_papers((0.001, 0.001, 0.0034, 0.001, 0.001, 0.001, 0.0021)),
+    "yaw_drift_ekf": {"likelihood": (0.001, 0.001, 0.0034, 0.001, 0.001, 0.001, 0.0021)},
 }
-# Likewise by likelihood, but on the soil on which "consistent" was found, which slips more. For
-# recorded robots, whose soil slips as much.
+# Likewise by likelihood, but on soil that slips as much as under the recorded robots, on which they
+# are used: μ = 0.9 ± 0.04 and κ = 0.8 ± 0.08.
 SIGMA_W_MORE_SLIP = {
     "rhe": (0.001, 0.001, 0.001, 0.001, 0.0033, 0.001),
     "ekf": (0.017, 0.017, 0.013, 0.001),
@@ -58,20 +55,8 @@ SIGMA_W_MORE_SLIP = {
 }
 # Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
 # only through its inputs, so the consistent σ_ω includes all turning that no encoder measures.
-SIGMA_V = dict(
-    printed=paper.SIGMA_V, calibrated=paper.SIGMA_V, consistent=(*paper.SIGMA_V[:3], 0.05)
-)
-# The mean of the arrival cost (interpretation R7).
-ARRIVAL_MEAN = dict(printed="smoothed", calibrated="smoothed", consistent="filtered")
-# The RHE with the arrival mean "filtered": by likelihood, like "calibrated"
-# (`calibrate("rhe", arrival_mean="filtered")`).
-SIGMA_W_FILTERED = (0.001, 0.001, 0.015, 0.001, 0.001, 0.001)
-# Least tracking error with the paper's weights, R = 10, of robots that drive training seeds 1000 to
-# 1023 (the study `calibration`).
-SIGMA_W_TRACKING = {
-    "rhe": (0.038, 0.038, 0.0012, 6.1, 6.1, 0.049),
-    "bounded_ekf": (0.001, 0.001, 0.27, 0.025, 0.36, 0.078),
-}
+SIGMA_V = dict.fromkeys(("printed", "likelihood", "tracking"), paper.SIGMA_V)
+SIGMA_V |= dict(consistent=(*paper.SIGMA_V[:3], 0.05))
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
 # Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].
@@ -88,9 +73,6 @@ SLIP = dict(
     # The mean slip speed to the side is -side_slip_s·νω [s].
     side_slip_s=0.05,
 )
-# Side slip that lasts, as on ice: the standard deviation of its angle times the root of twice its
-# time constant [rad√s]. It may follow the constants of SLIP, and a replay asks the log for it.
-LASTING_SLIP = dict(lasting_slip=0.0)
 # Gyro and heading (`rhec.tracked_robot.sensors`).
 SIGMA_GYRO = 0.02  # [rad/s]
 SIGMA_HEADING = 0.03  # [rad]
@@ -103,9 +85,16 @@ GYRO = dict(
 SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s], by choice: keeps the variance above 0
 
 
+def process_noise_of(scenario):
+    """The name of the W of a Scenario: its own, or the default of its estimator."""
+    # An oracle and an estimator of the user's have no W.
+    of_estimator = SIGMA_W.get(scenario.estimator, SIGMA_W["rhe"])
+    return scenario.process_noise or next(iter(of_estimator))
+
+
 def sigma_v_of(scenario):
     """Standard deviations of the measurements that a Scenario's estimator assumes."""
-    return scenario.sigma_v or SIGMA_V[scenario.process_noise]
+    return scenario.sigma_v or SIGMA_V[process_noise_of(scenario)]
 
 
 def sigma_of_sensors(sensors, sigma_gyro, sigma_heading):
@@ -125,5 +114,5 @@ def variances_of(name, scenario):
     """The settings V and W of a Scenario's estimator, by its name."""
     sigma_w = scenario.sigma_w
     if sigma_w is None:
-        sigma_w = SIGMA_W[name][scenario.process_noise]
+        sigma_w = SIGMA_W[name][process_noise_of(scenario)]
     return dict(V=np.square(sigma_v_of(scenario)), W=np.square(sigma_w))

@@ -23,7 +23,7 @@ KINDS |= dict.fromkeys(("estimation_horizon", "prediction_horizon"), (5, 15, 30,
 
 def scenarios(runs, **changes):
     """Four minutes each on fields of their own."""
-    return [Scenario(process_noise="calibrated", seed=seed, **changes) for seed in range(runs)]
+    return [Scenario(process_noise="likelihood", seed=seed, **changes) for seed in range(runs)]
 
 
 def samples(runs):

@@ -18,7 +18,8 @@ import pandas as pd
 
 from benchmark import peers, problems
 from notebooks.studies import timing
-from rhec.core._casadi import compiled, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled
 from rhec.simulation.scenario import Scenario
 
 RHEC = {  # the compiled Functions that a phase calls
@@ -37,7 +38,7 @@ def available():
 
 def drive():
     """A minute of the closed loop, then its samples again from Python, phase by phase."""
-    scenario = Scenario(process_noise="calibrated", duration_s=60.0)
+    scenario = Scenario(process_noise="likelihood", duration_s=60.0)
     timing.phases(scenario, timing.CONTROLLERS["structured"])
 
 
@@ -109,7 +110,7 @@ def measure(acados=None):
         cost = per_call(profiles.pop("rhec"))
         counts = {
             IN_C: {key: sum(cost[name] for name in names) for key, names in RHEC.items()},
-            CLOSED_LOOP: {("closed loop", "overall"): cost["block"] / scan.BLOCK},
+            CLOSED_LOOP: {("closed loop", "overall"): cost["block"] / runner.BLOCK},
         }
         for what, profile in profiles.items():
             name, problem = what.split("/")

@@ -12,7 +12,7 @@ from benchmark import problems
 from notebooks.studies.timing import PHASES
 from rhec.core._casadi import cache, compiled
 from rhec.core.controller import rhc
-from rhec.tracked_robot import estimators
+from rhec.core.estimator import rhe
 
 # As in driver.c.
 _FIELDS = ("phase", "arguments", "results", "whole", "work", "to", "rows", "doubles", "timed")
@@ -80,7 +80,7 @@ def block(run, recorded):
 
     estimator, controller = problems.live(run, horizon)
     libraries = {
-        type(estimator): _library(estimators.build_phases, estimator._choice),
+        type(estimator): _library(rhe.build_phases, estimator.window),
         type(controller): _library(rhc.build_phases, controller.problem),
     }
 

@@ -29,7 +29,7 @@ class Problem(NamedTuple):
 def drive(samples, horizon=paper.HORIZON):
     """A run with so many samples after the window has filled up."""
     return simulate(
-        Scenario(process_noise="calibrated", duration_s=(horizon + samples) * paper.DT_S)
+        Scenario(process_noise="likelihood", duration_s=(horizon + samples) * paper.DT_S)
     )
 
 

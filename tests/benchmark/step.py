@@ -11,7 +11,8 @@ import pandas as pd
 
 from benchmark import acados_peer, instructions, native, peers, problems
 from notebooks.studies.timing import PHASES
-from rhec.core._casadi import compiled, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
 
@@ -144,7 +145,7 @@ def fused(scenario):
 
     def block(_):
         begin = clock()
-        scan.scan(functions, world.memory, noise, world.settings)
+        runner.run_one(functions, world.memory, noise, world.settings)
         return {("closed loop", "overall"): (clock() - begin) / 1e3 / LOOP}
 
     return block

@@ -21,7 +21,7 @@ def measure(steps):
     taken = {solver: [] for solver in SOLVERS}
     for seed in SEEDS:
         scenario = Scenario(
-            process_noise="calibrated", seed=seed, duration_s=steps / len(SEEDS) * paper.DT_S
+            process_noise="likelihood", seed=seed, duration_s=steps / len(SEEDS) * paper.DT_S
         )
         for solver in SOLVERS:
             taken[solver].append(timing.phases(scenario, timing.CONTROLLERS[solver]))

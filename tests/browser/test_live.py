@@ -13,7 +13,8 @@ from helpers import LIVE_PAGE, needs_live_page, wait_until
 import rhec
 from docs.live.page import FAULTS, SCENES
 from rhec import paper
-from rhec.core._casadi import compiled, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, MEASUREMENTS
 from rhec.tracked_robot import tuning
@@ -138,8 +139,8 @@ def same_run_in_python(run):
     setup = closed_loop.set_up(scenario)
     settings = setup.settings | dict(slip=run["slip"], origin_m=np.array(run["origin_m"]))
     functions = compiled.load(closed_loop.build_sample, *setup.structure)
-    _, rows = scan.scan(functions, setup.memory, run["noise"], settings)
-    return closed_loop.finish(scenario, setup, rows)
+    rows = runner.run_one(functions, setup.memory, run["noise"], settings)
+    return closed_loop.finish_all([scenario], [setup], [rows])[0]
 
 
 @pytest.fixture
@@ -237,12 +238,12 @@ def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
     rows = floats(seen["rows"]).reshape(-1, len(COLUMNS))
     z = rows[:, [COLUMNS.index(name) for name in MEASUREMENTS]]
     guess = (0.0, paper.START_OFFSET_M, 0.0, paper.SPEED_MPS, 1.0, 1.0)
-    mhe = rhec.RHE(process_noise="calibrated", guess=guess)
+    mhe = rhec.RHE(process_noise="likelihood", guess=guess)
     ekf = rhec.EKF(
         model=mhe.model,
         dt=paper.DT_S,
         sigma_v=paper.SIGMA_V,
-        sigma_w=tuning.SIGMA_W["rhe"]["calibrated"],
+        sigma_w=tuning.SIGMA_W["rhe"]["likelihood"],
         guess=guess,
         sigma_guess=paper.SIGMA_W_RHE,
     )

@@ -27,8 +27,8 @@ from oracles import (
 from robots import BICYCLE, CART, DT, ROBOTS, SKID_STEERED, VARIANTS, N
 
 import rhec
+from rhec.core import runner
 from rhec.core._casadi.packing import pack_array
-from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import joint_guess
@@ -225,7 +225,7 @@ def test_the_fused_step_answers_as_the_live_objects_do(robot):
     start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, robot.sigma_guess))
     plan = rhc.init(mpc.problem, live[0][:n_x], live[0][n_x + n_u : -n_u])
     memory = np.concatenate([pack_array(start), pack_array(plan)])
-    _, rows = scan(build_scan(fused_sample(mhe, mpc)), memory, np.array(stream), {})
+    rows = runner.run_one(runner.build(fused_sample(mhe, mpc)), memory, np.array(stream), {})
     np.testing.assert_allclose(rows, live, rtol=0, atol=1e-9)
 
 

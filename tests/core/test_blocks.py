@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rhec.core._casadi import compiled, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core.blocks import Block, drawn, remembered, sample, split
 
@@ -61,12 +62,12 @@ NOISE = np.random.default_rng(0).normal(size=(100, 2))
 
 
 def build_loop(loop, settings):
-    return scan.build_scan(sample(loop, settings, ["x", "z", "u"]))
+    return runner.build(sample(loop, settings, ["x", "z", "u"]))
 
 
 def run(loop, memory):
     functions = compiled.load(build_loop, loop, ("gain",))
-    return scan.scan(functions, np.array(memory), NOISE, dict(gain=0.7))[1]
+    return runner.run_one(functions, np.array(memory), NOISE, dict(gain=0.7))
 
 
 def in_numpy(factor=1.0, delay=False):

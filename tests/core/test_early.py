@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.core._casadi import compiled, early, scan
+from rhec.core import runner
+from rhec.core._casadi import compiled, early
 from rhec.simulation import closed_loop
 
 pytestmark = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
@@ -28,11 +29,11 @@ def build_pendulum(n):
         angle = angle + 0.1 * rate
     after = ca.vertcat(angle, rate)
     names = ["memory", "push"], ["next", "row"]
-    return scan.build_scan(ca.Function("step", [memory, push], [after, after * 1.1], *names))
+    return runner.build(ca.Function("step", [memory, push], [after, after * 1.1], *names))
 
 
 def rows_of(functions):
-    return scan.scan(functions, np.zeros(2), STREAM, {})[1]
+    return runner.run_one(functions, np.zeros(2), STREAM, {})
 
 
 @pytest.fixture
@@ -101,7 +102,7 @@ def test_an_optimised_closed_loop_has_the_same_bits(cache, monkeypatch, fields):
         monkeypatch.setattr(compiled, "FLAGS", (*compiled.FLAGS, level))  # the last one counts
         compiled.load.cache_clear()
         functions = compiled.load(closed_loop.build_sample, *setup.structure)
-        rows.append(scan.scan(functions, setup.memory, noise, setup.settings)[1])
+        rows.append(runner.run_one(functions, setup.memory, noise, setup.settings))
     assert n_libraries(cache) == 2
     np.testing.assert_array_equal(*rows)
 

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rhec.core import runner
 from rhec.core._casadi.build import casadi_function
-from rhec.core._casadi.scan import BLOCK
-from rhec.core.estimator import offline
 
 
 @casadi_function("step", m=(3, 1), z=(2, 1), V=(2, 1), traction=(2, 1))
@@ -36,19 +35,19 @@ def looped(m, z, V, traction):
 
 
 @pytest.mark.parametrize("streamed", [(), ("traction",)])
-@given(n=st.integers(0, 2 * BLOCK + 3), seed=st.integers(0, 99))
+@given(n=st.integers(0, 2 * runner.BLOCK + 3), seed=st.integers(0, 99))
 @settings(deadline=None, max_examples=15)
 def test_a_scan_equals_a_loop_over_the_step(streamed, n, seed):
     generator = np.random.default_rng(seed)
     m, V = generator.standard_normal(3), generator.standard_normal(2)
     z, traction = generator.standard_normal((2, n, 2))
+    stream = np.hstack([z, traction])
+    constant = dict(V=V, unknown=np.zeros(7))
     if not streamed:
-        traction[:] = traction[:1]
-    stream = np.hstack([z, traction]) if streamed else z
-    constant = dict(V=V, unknown=np.zeros(7)) | (
-        {} if streamed or not n else dict(traction=traction[0])
-    )
-    arrays = offline.run(offline.build(step, OUTPUTS, streamed), m, stream, constant)
+        stream = z
+        constant["traction"] = generator.standard_normal(2)
+        traction = np.tile(constant["traction"], (n, 1))
+    arrays = runner.record(runner.build_recorded(step, OUTPUTS, streamed), m, stream, constant)
     expected = looped(m, z, V, traction)
     assert list(arrays) == OUTPUTS
     for name in OUTPUTS:

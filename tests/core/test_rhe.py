@@ -17,7 +17,7 @@ from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot import estimators, tuning
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.live import PaperEstimate
+from rhec.tracked_robot.own_loop import Estimate
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SPEED_MODELS = ["parameter", "input"]
@@ -98,7 +98,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
 
 def test_without_a_guess_it_begins_at_the_first_reading():
     (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
-    assert isinstance(estimate, PaperEstimate)
+    assert isinstance(estimate, Estimate)
     assert estimate[:6] == pytest.approx((500, -300, 0, 0.4, 1, 1))
 
 
@@ -204,7 +204,7 @@ def test_without_noise_a_robot_that_weaves_is_tracked_exactly(speed_model):
     """
     truth, z = drive(GUESS, weaving_yaw_rates(3 * N))
     estimates = feed(
-        rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="calibrated"), z, iterations=8
+        rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="likelihood"), z, iterations=8
     )
     np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
 
@@ -216,7 +216,7 @@ def test_traction_is_found_where_the_robot_turns():
     truth, z = drive(GUESS, 3 * weaving_yaw_rates(200))
     for seed in range(5):
         rhe = rhec.RHE(
-            guess=(0, 0, 0.2, 0.5, 1, 1), process_noise="calibrated", arrival_mean="filtered"
+            guess=(0, 0, 0.2, 0.5, 1, 1), process_noise="likelihood", arrival_mean="filtered"
         )
         estimates = feed(rhe, with_noise(z, np.random.default_rng(seed)))[50:]
         errors = np.array(
@@ -295,7 +295,7 @@ def test_feedback_without_preparation_is_refused():
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
-@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+@pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
 def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
     where `arrival_mean` says.
@@ -326,7 +326,7 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_
 
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
-@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+@pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
 def test_the_covariance_stays_symmetric_and_positive_definite(process_noise, speed_model):
     _, z = drive(GUESS, weaving_yaw_rates(300))
     for estimate in feed(
@@ -378,7 +378,7 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
     truth, z = drive(GUESS, np.full(40, 0.08))
     z[20:24, 3] = np.nan
-    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated"), z, iterations=8)
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="likelihood"), z, iterations=8)
     np.testing.assert_allclose([estimate[:6] for estimate in estimates], truth, atol=1e-9)
 
 
@@ -405,7 +405,7 @@ def test_after_ten_seconds_without_gnss_it_finds_back(speed_model):
     truth, z = drive(GUESS, 3 * weaving_yaw_rates(150))
     z = with_noise(z, np.random.default_rng(11))
     z[60:110, :2] = np.nan
-    estimates = feed(rhec.RHE(guess=GUESS, process_noise="calibrated", speed_model=speed_model), z)
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="likelihood", speed_model=speed_model), z)
     assert estimates[109].covariance[0, 0] > 4 * estimates[-1].covariance[0, 0]
     assert estimates[-1][:3] == pytest.approx(truth[-1, :3], abs=0.1)
 

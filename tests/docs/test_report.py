@@ -14,6 +14,7 @@ from bs4 import BeautifulSoup
 from latex2mathml.converter import convert
 from matplotlib.figure import Figure
 from nbformat import v4
+from sphinx.application import Sphinx
 
 import rhec
 from docs.site import report
@@ -85,13 +86,20 @@ def test_every_formula_in_the_notebooks_can_be_typeset(file):
                 assert "\\" not in BeautifulSoup(convert(tex), "html.parser").get_text(), tex
 
 
-def test_a_page_runs_its_own_scripts_alone_and_loads_nothing_from_elsewhere():
-    own = "document.body.dataset.theme = 'auto';"
-    page = with_policy(f"<html><head><title>t</title></head><body><script>{own}</script></body>")
+def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsewhere(tmp_path):
+    (tmp_path / "index.md").write_text("# One\n")
+    site = tmp_path / "site"
+    Sphinx(tmp_path, ROOT / "docs", site, tmp_path / "doctrees", "html", status=None).build()
+    built = (site / "index.html").read_text()
+    injected = "document.title = 'RAN'"
+    page = with_policy(built.replace("</body>", f"<script>{injected}</script></body>"))
     assert page.index("Content-Security-Policy") < page.index("<title>")
-    policy = BeautifulSoup(page, "html.parser").find("meta")["content"]
+    parsed = BeautifulSoup(page, "html.parser")
+    policy = parsed.find("meta", {"http-equiv": "Content-Security-Policy"})["content"]
     directives = dict(directive.split(" ", 1) for directive in policy.split("; "))
     assert directives["default-src"] == "'none'"
-    digest = b64encode(hashlib.sha256(own.encode()).digest()).decode()
-    assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digest}'"]
+    scripts = [script.string for script in parsed.find_all("script", src=False)]
+    digests = [b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in scripts]
+    assert len(scripts) == 2 and scripts[1] == injected
+    assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digests[0]}'"]
     assert not re.search("http|unsafe-eval|[*]", policy)

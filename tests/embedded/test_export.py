@@ -70,7 +70,7 @@ SCENARIOS = {
         look_ahead_m=0.3,
         command_delay=1,
         guess_yaw_rad=0.2,
-        process_noise="calibrated",
+        process_noise="likelihood",
         path=rhec.Path.from_segments(
             [(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5)
         ),
@@ -93,10 +93,10 @@ SCENARIOS = {
         sensors=("gyro",),
         faults=(rhec.Fault(kind="dead", channel="gyro", start_s=8.0, duration_s=3.0),),
     ),
-    "EKF": dict(estimator="ekf", process_noise="calibrated"),
+    "EKF": dict(estimator="ekf", process_noise="likelihood"),
     "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
     "RHE, fixed traction": dict(estimator="rhe_fixed_traction", mu_mean=0.7, kappa_mean=0.6),
-    "bounded EKF": dict(estimator="bounded_ekf", process_noise="calibrated"),
+    "bounded EKF": dict(estimator="bounded_ekf", process_noise="likelihood"),
     "own estimator": dict(estimator=own_estimator()),
 }
 

@@ -23,7 +23,7 @@ from rhec.explorer import controls, explorer, field_run, screen
 from rhec.explorer.panels import packed
 from rhec.tracked_robot import tuning
 
-SHORT = rhec.Scenario(process_noise="calibrated", duration_s=60.0)
+SHORT = rhec.Scenario(process_noise="likelihood", duration_s=60.0)
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ STARTS = [
     rhec.Scenario(),
     rhec.Scenario(
         estimator="ekf",
-        process_noise="calibrated",
+        process_noise="likelihood",
         q=paper.Q1,
         r=3.3,
         patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
@@ -95,7 +95,7 @@ def test_the_line_of_python_gives_the_scenario(start):
 
 def test_own_process_noise_has_the_size_each_estimator_takes():
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
-    likeliest = tuning.SIGMA_W["rhe"]["calibrated"]
+    likeliest = tuning.SIGMA_W["rhe"]["likelihood"]
     assert controls.scenario_of(values, "rhe", SHORT).sigma_w == (
         *likeliest[:3],
         0.5,
@@ -469,13 +469,13 @@ def test_its_text_is_the_errors_and_the_scenario(made):
 
 def test_sliders_of_w_show_the_w_in_use(made):
     sliders = [made.inputs["sigma_w", place] for place in range(6)]
-    for noise in ("printed", "calibrated"):
+    for noise in ("printed", "likelihood"):
         made.process_noise.value = noise
         assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
         assert all(slider.disabled for slider in sliders)
     made.process_noise.value = "custom"
     assert not any(slider.disabled for slider in sliders)
-    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["calibrated"]
+    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["likelihood"]
     sliders[5].value = 0.1
     assert made.runs[0].scenario.sigma_w[5] == 0.1
 

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from written_bags import (
     joint_state,
     odometry,
     pose_stamped,
+    text,
     transform,
     write_bag,
 )
@@ -226,3 +229,81 @@ def test_a_folder_without_its_metadata_is_read(tmp_path):
     shutil.copy(file, bag / "log_1.db3")  # the second file of a bag that was split
     twice = rhec.logs.read(bag, wheel_radius_m=0.5)
     np.testing.assert_array_equal(twice, whole)  # equal stamps are the same messages
+
+
+# Bags that were made to do harm
+
+
+PACKED = [("bag", "BZ2"), ("bag", "LZ4"), ("mcap", "STORAGE"), ("mcap", "MESSAGE")]
+PACKED += [("folder", "MESSAGE")]
+
+
+def packed(tmp_path, kind, how, length):
+    """A packed bag with a drive, and a message that unpacks to this length."""
+    junk = ("/drive_state", "std_msgs/msg/String", at(0), text("0" * length))
+    return write_bag(tmp_path, kind, [*driven(), junk], how)
+
+
+@pytest.mark.parametrize("kind, how", PACKED)
+def test_packed_bags_are_read(tmp_path, kind, how):
+    (tmp_path / "plain").mkdir()
+    columns = dict(east="/odom.pose.pose.position.x", wheel="/drive.speeds[3]")
+    expected = rhec.logs.read(write_bag(tmp_path / "plain", kind, driven()), columns=columns)
+    log = rhec.logs.read(packed(tmp_path, kind, how, 1000), columns=columns)
+    np.testing.assert_array_equal(log, expected)
+
+
+@pytest.mark.parametrize("kind, how", PACKED)
+def test_a_bag_that_unpacks_to_far_more_than_its_size_is_refused(tmp_path, kind, how):
+    bag = packed(tmp_path, kind, how, 70_000_000)
+    columns = dict(east="/odom.pose.pose.position.x", junk="/drive_state.data")
+    with pytest.raises(ValueError, match="unpack to far more than those of a recording"):
+        rhec.logs.read(bag, columns=columns)
+
+
+def test_an_index_that_is_read_again_and_again_is_refused(tmp_path):
+    """By a thousand descriptions of the only chunk."""
+    file = write_bag(tmp_path, "bag", driven())
+    content = file.read_bytes()
+    description = content[content.rindex(b"chunk_pos=") - 28 :]
+    count = b"chunk_count=" + (1).to_bytes(4, "little")
+    assert count in content
+    content = content.replace(count, b"chunk_count=" + (1001).to_bytes(4, "little"))
+    file.write_bytes(content + 1000 * description)
+    with pytest.raises(ValueError, match="its index is larger than the file"):
+        rhec.logs.read(file, topics=("/odom",))
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "CREATE VIEW schema AS WITH RECURSIVE n(schema_version) AS "
+        "(SELECT 1 UNION ALL SELECT schema_version + 1 FROM n) SELECT max(schema_version) "
+        "AS schema_version FROM n",
+        "CREATE TABLE more(id INTEGER, data BLOB AS (zeroblob(1000000000)))",
+        "CREATE TRIGGER more AFTER INSERT ON topics BEGIN SELECT 1; END",
+        "CREATE INDEX more ON topics(id) WHERE length(zeroblob(1000000000)) > 1",
+    ],
+)
+def test_sql_of_a_bag_is_not_executed(tmp_path, sql):
+    bag = write_bag(tmp_path, "folder", driven())
+    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as database:
+        if "schema" in sql:
+            database.execute("DROP TABLE schema")
+        database.execute(sql)
+        database.commit()
+    with pytest.raises(ValueError, match="in it is no plain table"):
+        rhec.logs.read(bag, columns=dict(east="/odom.pose.pose.position.x"))
+
+
+def test_topics_that_would_multiply_the_messages_are_refused(tmp_path):
+    bag = write_bag(tmp_path, "folder", driven())
+    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as database:
+        database.executescript(
+            "CREATE TABLE other(id INTEGER, name TEXT, type TEXT, serialization_format TEXT, "
+            "offered_qos_profiles TEXT, type_description_hash TEXT); "
+            "INSERT INTO other SELECT * FROM topics; INSERT INTO other SELECT * FROM topics; "
+            "DROP TABLE topics; ALTER TABLE other RENAME TO topics"
+        )
+    with pytest.raises(ValueError, match="two of its topics have the same identifier"):
+        rhec.logs.read(bag, columns=dict(east="/odom.pose.pose.position.x"))

@@ -110,7 +110,7 @@ def test_an_unused_truth_and_a_constant_speed_say_nothing(nothing_estimated):
 
 
 def test_a_delay_that_is_told_is_made_up_for():
-    given = dict(process_noise="calibrated", speed_model="input", first_yaw_rad=(0.4, -2.0))
+    given = dict(process_noise="likelihood", speed_model="input", first_yaw_rad=(0.4, -2.0))
     fresh = rhec.replay(LOG, **given)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -124,7 +124,7 @@ def test_a_log_can_be_taken_as_it_is():
     with pytest.raises(ValueError, match="speed_mps may be in km/h"):
         rhec.replay(log)
     assert (
-        len(rhec.replay(log, trust_log=True, process_noise="calibrated", speed_model="input"))
+        len(rhec.replay(log, trust_log=True, process_noise="likelihood", speed_model="input"))
         == 300
     )
 

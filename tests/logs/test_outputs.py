@@ -16,7 +16,7 @@ from rhec.logs.outputs import write_estimates, write_traction
 def test_a_replay_leaves_tables_and_paths(tmp_path):
     log = rhec.logs.read(make_example_log.FILE)[:300]
     log.attrs["origin"] = (48.2, 16.4, 170.0)
-    estimates = rhec.replay(log, first_yaw_rad=0.4, process_noise="calibrated", speed_model="input")
+    estimates = rhec.replay(log, first_yaw_rad=0.4, process_noise="likelihood", speed_model="input")
     write_estimates(estimates, tmp_path / "new")
     assert len(pd.read_csv(tmp_path / "new" / "traction.csv")) == estimates["x_hat_m"].notna().sum()
     assert (tmp_path / "new" / "traction.geojson").is_file()

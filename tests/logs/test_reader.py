@@ -76,6 +76,57 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_a_separator_at_the_end_of_each_row_is_no_column(tmp_path, separator):
+    """As many loggers write it; no column may be read as its neighbour."""
+    names, *rows = written(tmp_path, LOG, sep=separator).read_text().splitlines()
+    for head in (names, names + separator):
+        (tmp_path / "log.csv").write_text("\n".join([head, *(row + separator for row in rows)]))
+        log = rhec.logs.read(tmp_path / "log.csv")
+        pd.testing.assert_frame_equal(log[[*LOG]], LOG)
+
+
+@pytest.mark.parametrize("first", [0, 60])
+def test_rows_with_more_entries_than_names_are_refused(tmp_path, first):
+    names, *rows = written(tmp_path, LOG).read_text().splitlines()
+    rows[first:] = [f"{row},7" for row in rows[first:]]
+    (tmp_path / "log.csv").write_text("\n".join([names, *rows]))
+    with pytest.raises(ValueError, match="cannot be read: .*(more entries than|saw 6)") as refused:
+        rhec.logs.read(tmp_path / "log.csv")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_table_with_too_many_values_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("rhec.logs.reader.MOST_VALUES", LOG.size)
+    pd.testing.assert_frame_equal(rhec.logs.read(written(tmp_path, LOG)), LOG)
+    monkeypatch.setattr("rhec.logs.reader.MOST_VALUES", LOG.size - 1)
+    with pytest.raises(ValueError, match=f"should have at most {LOG.size - 1} values"):
+        rhec.logs.read(written(tmp_path, LOG))
+
+
+STEERING = "\x1b]0:owned\x07 \x9b31m \u202etxet"  # a terminal's title, colour and direction
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_nothing_in_a_log_steers_a_terminal(tmp_path, suffix):
+    file, log = tmp_path / f"log.{suffix}", LOG.rename(columns=dict(t_s=f"more{STEERING}"))
+    log.to_csv(file, index=False) if suffix == "csv" else log.to_parquet(file)
+    read = rhec.logs.read(file)
+    assert read.columns[0].startswith("more\\x1b]0:owned")
+    np.testing.assert_array_equal(read, LOG)
+    with pytest.raises(ValueError, match="no column t_s") as refused:
+        rhec.replay(read)
+    assert str(refused.value).isprintable()
+
+
+def test_nothing_in_a_bag_steers_a_terminal(tmp_path):
+    messages = [(STEERING, "geometry_msgs/msg/PoseStamped", START_NS, pose_stamped(0, 0))]
+    file = write_bag(tmp_path, "mcap", messages)
+    with pytest.raises(ValueError, match="no topic for encoders.*owned") as refused:
+        rhec.logs.read(file)
+    assert str(refused.value).isprintable()
+
+
 @pytest.mark.parametrize("metadata", [b"{}", b"[]", b"nonsense", b'{"index_columns": [3]}'])
 def test_a_parquet_file_with_odd_metadata_is_refused_in_a_sentence(tmp_path, metadata):
     table = pa.table(dict(t_s=[0.0, 0.2], x_m=[0.0, 0.1]))
@@ -228,7 +279,7 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
         pd.DataFrame(dict(t_s=wheels - first, v_left_mps=tracks[0], v_right_mps=tracks[1])),
         how="outer",
     )
-    given = dict(track_width_m=B, process_noise="calibrated", speed_model="input")
+    given = dict(track_width_m=B, process_noise="likelihood", speed_model="input")
     estimates, expected = (
         rhec.replay(each, **given, first_yaw_rad=0.0)[ESTIMATE] for each in (log, table)
     )

@@ -73,6 +73,9 @@ def test_files_too_large_for_a_log_are_refused(tmp_path):
     file.write_text(",".join(f"c{i}" for i in range(20_000)) + "\n")
     with pytest.raises(ValueError, match="20000 columns"):
         rhec.logs.read(file)
+    file.write_text("t_s,x_m\n" + 20 * ("0" + 20_000 * ",0" + "\n"))
+    with pytest.raises(ValueError, match="20001 columns"):
+        rhec.logs.read(file)
     bomb = tmp_path / "bomb.parquet"
     pd.DataFrame(dict.fromkeys("abcdefghij", np.zeros(6_000_000))).to_parquet(bomb)
     with pytest.raises(ValueError, match="60000000 values"):

@@ -18,15 +18,15 @@ def runs():
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
 def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed(estimator, runs):
-    calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["calibrated"], runs)
+    calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["likelihood"], runs)
     assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator]["printed"], runs) - 100
     for factor in (0.1, 10):  # and better than others near it, within the bounds of the search
-        other = np.maximum(factor * np.array(SIGMA_W[estimator]["calibrated"]), calibration.LEAST)
+        other = np.maximum(factor * np.array(SIGMA_W[estimator]["likelihood"]), calibration.LEAST)
         assert calibrated < calibration.deviance(estimator, other, runs)
 
 
 def test_the_deviance_is_a_sum_over_runs(runs):
-    sigma = SIGMA_W["ekf"]["calibrated"]
+    sigma = SIGMA_W["ekf"]["likelihood"]
     each = [calibration.deviance("ekf", sigma, [run]) for run in runs]
     assert (
         calibration.deviance("ekf", sigma, runs) == pytest.approx(sum(each)) and each[0] != each[1]

@@ -215,15 +215,17 @@ def finding(verdict):
         (HOLDS, HOLDS, (HOLDS, "as printed")),
         (HOLDS, FAILS, ("holds only as printed", "as printed")),
         (HOLDS, UNDECIDED, ("holds as printed", "as printed")),
-        (FAILS, HOLDS, ("holds only with W calibrated", "W calibrated")),
-        (UNDECIDED, HOLDS, ("holds with W calibrated", "W calibrated")),
+        (FAILS, HOLDS, ("holds only with W by likelihood", "W by likelihood")),
+        (UNDECIDED, HOLDS, ("holds with W by likelihood", "W by likelihood")),
         (FAILS, FAILS, (FAILS, "as printed")),
-        (FAILS, UNDECIDED, (UNDECIDED, "W calibrated")),
+        (FAILS, UNDECIDED, (UNDECIDED, "W by likelihood")),
     ],
 )
 def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
     assert (
-        statistics.combined({"as printed": finding(printed), "W calibrated": finding(calibrated)})
+        statistics.combined(
+            {"as printed": finding(printed), "W by likelihood": finding(calibrated)}
+        )
         == expected
     )
 
@@ -325,7 +327,7 @@ def test_both_process_noises_meet_the_same_seeds():
     fields = run_sets.RUNS["q2"]
     for printed, calibrated in zip(
         run_sets.scenarios(fields, "printed", range(3)),
-        run_sets.scenarios(fields, "calibrated", range(3)),
+        run_sets.scenarios(fields, "likelihood", range(3)),
     ):
         assert (
             printed.seed == calibrated.seed
@@ -408,13 +410,18 @@ def test_a_verdict_by_derivation_is_marked(made_up):
 
 
 def test_what_may_happen_needs_one_condition():
-    found = {"as printed": finding(FAILS), "W calibrated": finding(HOLDS)}
-    assert ledger.CLAIMS["M7"].rule.combined(found) == (HOLDS, "W calibrated")
-    assert ledger.CLAIMS["B6"].rule.combined(found)[0] == "holds only with W calibrated"
+    found = {"as printed": finding(FAILS), "W by likelihood": finding(HOLDS)}
+    assert ledger.CLAIMS["M7"].rule.combined(found) == (HOLDS, "W by likelihood")
+    assert ledger.CLAIMS["B6"].rule.combined(found)[0] == "holds only with W by likelihood"
 
 
 def test_verdicts_are_counted_by_class():
-    verdicts = [HOLDS, "holds as printed", "holds only as printed", "holds only with W calibrated"]
+    verdicts = [
+        HOLDS,
+        "holds as printed",
+        "holds only as printed",
+        "holds only with W by likelihood",
+    ]
     verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
     derived = [False] * 5 + [True, False]
     counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
@@ -468,13 +475,13 @@ def test_the_ledger_has_the_shares_of_worlds(made_up):
 
 
 def test_worlds_have_their_own_w_and_drives_of_their_own_length():
-    world = dict(process_noise="printed", process_noise_ekf="calibrated", duration_s=99.0)
+    world = dict(process_noise="printed", process_noise_ekf="likelihood", duration_s=99.0)
     world |= dict(row_length_m=20.0, speed_mps=0.5, mu_mean=0.8, estimator="ekf")
     (rhe,) = worlds._scenarios(("runs", "rhe"), world, [3], True)
     (ekf,) = worlds._scenarios(("runs", "ekf"), world, [3], True)
     (row,) = worlds._scenarios(("runs", "q3"), world, [3], False)
     (lap,) = worlds._scenarios(("runs", "no_slip"), world, [3], False)
-    assert (rhe.process_noise, ekf.process_noise) == ("printed", "calibrated")
+    assert (rhe.process_noise, ekf.process_noise) == ("printed", "likelihood")
     assert rhe.duration_s == ekf.duration_s == 99 and row.duration_s == pytest.approx(50)
     assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
 
@@ -518,7 +525,7 @@ def test_a_claim_is_read_as_it_is_written(tmp_path):
     assert (id_, claim.section, claim.claim) == ("X1", "Times", "It is fast")
     assert claim.rule.bound == "< 1" and list(claim.rule.by_condition) == [
         "as printed",
-        "W calibrated",
+        "W by likelihood",
     ]
     assert claim.rule.by_condition["as printed"].tables == (("printed", "runs", "ekf"),)
 
@@ -665,20 +672,20 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     steps = experiments.build_with_given_arrival()
     log = run.log[:60]
-    estimates, P = experiments.run_with_given_arrival(steps, log, "calibrated")
+    estimates, P = experiments.run_with_given_arrival(steps, log, "likelihood")
     np.testing.assert_allclose(
         estimates,
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
         atol=1e-8,
     )
-    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["calibrated"]))
+    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["likelihood"]))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, "calibrated", P_given=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, "likelihood", P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
 
 
 def test_the_live_loop_is_the_fused_one(virtual_machine):
-    scenario = rhec.Scenario(process_noise="calibrated", duration_s=20.0)
+    scenario = rhec.Scenario(process_noise="likelihood", duration_s=20.0)
     distance_m, *_ = experiments.live(scenario, 1)
     np.testing.assert_allclose(distance_m, rhec.simulate(scenario).log["error_true_m"], atol=1e-8)
 
@@ -710,11 +717,11 @@ def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(vir
 
 def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machine):
     """It does from the worst starts; what is reported is what the last run has."""
-    found = experiments.lowest_traction("calibrated", most=18)
+    found = experiments.lowest_traction("likelihood", most=18)
     assert (found["lowest"] < 0).any() or len(found) >= 18
     row = found.iloc[-1]
     given = row.drop(["lowest"]).to_dict() | dict(seed=round(row["seed"]), duration_s=60.0)
-    choice = dict(estimator="augmented_ekf", process_noise="calibrated")
+    choice = dict(estimator="augmented_ekf", process_noise="likelihood")
     log = rhec.simulate(rhec.Scenario(**given, **choice)).log
     assert log[["mu_hat", "kappa_hat"]].to_numpy().min() == row["lowest"]
 
@@ -728,7 +735,7 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
             estimator="augmented_ekf",
             slip_difference=0.0,
             gnss_slow_share=0.0,
-            process_noise="calibrated",
+            process_noise="likelihood",
             terrain=rhec.Terrain.uniform(0.9, 0.8),
         )
     ).log

@@ -98,11 +98,11 @@ def test_the_rhe_is_measured_in_all_its_states(runs):
 
 def test_the_consistent_rhe_is_as_sure_as_it_may_be_and_the_calibrated_one_too_sure(runs):
     nees = {}
-    for name in ("consistent", "calibrated"):
+    for name in ("consistent", "likelihood"):
         found = consistency.measure(Scenario(process_noise=name), runs)
         (_, values, degrees), *_ = consistency.normalised(found)
         nees[name] = values.mean() / degrees
-    assert 0.7 < nees["consistent"] < 1.4 and nees["calibrated"] > 2
+    assert 0.7 < nees["consistent"] < 1.4 and nees["likelihood"] > 2
     ratios = np.sqrt(
         consistency.mean_square_errors(
             consistency.measure(Scenario(process_noise="consistent"), runs)

@@ -56,7 +56,7 @@ def runs(virtual_machine):
             name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))
             for name in ("RHE", "EKF")
         }
-        for process_noise in ("printed", "calibrated")
+        for process_noise in ("printed", "likelihood")
     }
 
 
@@ -65,7 +65,7 @@ def by_weight(virtual_machine):
     """{weight: one Run a seed}"""
     return {
         weight: [
-            rhec.simulate(scenario(process_noise="calibrated", seed=seed, **choice))
+            rhec.simulate(scenario(process_noise="likelihood", seed=seed, **choice))
             for seed in SEEDS
         ]
         for weight, choice in WEIGHTS.items()
@@ -76,7 +76,7 @@ def by_weight(virtual_machine):
 def sweep_a(by_weight):
     return pd.DataFrame(
         [
-            {"weight": weight, "process_noise": "calibrated", "seed": seed} | run.metrics
+            {"weight": weight, "process_noise": "likelihood", "seed": seed} | run.metrics
             for weight, runs in by_weight.items()
             for seed, run in enumerate(runs)
         ]
@@ -88,7 +88,7 @@ def sweep_b(virtual_machine):
     return rhec.campaign(
         [
             scenario(process_noise=process_noise, estimator=estimator, seed=seed)
-            for process_noise in ("printed", "calibrated")
+            for process_noise in ("printed", "likelihood")
             for estimator in ("rhe", "ekf")
             for seed in SEEDS
         ]
@@ -110,13 +110,13 @@ def drives(runs):
 @pytest.fixture(scope="module")
 def drawn(runs, drives, by_weight, sweep_a, sweep_b):
     """Every figure, by its function's name."""
-    pair, table = runs["calibrated"], scenario_b_table(sweep_b)
+    pair, table = runs["likelihood"], scenario_b_table(sweep_b)
     by_noise = {noise: by_name["RHE"] for noise, by_name in drives.items()}
     return {
         "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
         ),
-        "weight_sweep": scenarios.weight_sweep(scenario_a_table(sweep_a), "calibrated"),
+        "weight_sweep": scenarios.weight_sweep(scenario_a_table(sweep_a), "likelihood"),
         "slip_fields": scenarios.slip_fields(
             pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
         ),
@@ -124,9 +124,9 @@ def drawn(runs, drives, by_weight, sweep_a, sweep_b):
         "errors": scenarios.errors(drives, table),
         "violations": scenarios.violations(table),
         "estimates": scenarios.estimates(by_noise),
-        "speed": scenarios.speed(drives["calibrated"]["RHE"]),
+        "speed": scenarios.speed(drives["likelihood"]["RHE"]),
         "yaw_rate": scenarios.yaw_rate(pair["RHE"]),
-        "kkt": scenarios.kkt(drives["calibrated"]["RHE"]),
+        "kkt": scenarios.kkt(drives["likelihood"]["RHE"]),
         "phases": phases(TIMES, "a test"),
     }
 
@@ -191,7 +191,7 @@ def test_no_bars_stand_on_a_logarithmic_axis(drawn):
 
 
 def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
-    run, *others = drives["calibrated"]["RHE"]
+    run, *others = drives["likelihood"]["RHE"]
     error = drawn["errors"].axes[1]
     assert any(np.array_equal(line.get_ydata(), run.log["error_m"]) for line in error.lines)
     yaw, _, _, kappa = drawn["estimates"].axes[2::4]
@@ -217,7 +217,7 @@ def test_frequencies_are_shares_of_all_values():
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):
-    of_rhe = drives["calibrated"]["RHE"]
+    of_rhe = drives["likelihood"]["RHE"]
     errors = np.array([run.columns["error_m"] for run in of_rhe])
     low, middle, high = over_fields(of_rhe, "error_m")
     np.testing.assert_allclose(middle, errors.mean(axis=0))
@@ -230,7 +230,7 @@ def test_bands_hold_the_middle_of_the_drives(drives):
     )
 
 
-@pytest.mark.parametrize("process_noise", ["printed", "calibrated"])
+@pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
 def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noise):
     run = runs[process_noise]["RHE"]
     found = stated(run)
@@ -331,4 +331,4 @@ def test_runs_that_never_settle_are_counted(sweep_a):
         table.loc[("Q1", "settling time [s]"), "n"] == 0
         and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
     )
-    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "calibrated"))
+    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "likelihood"))

@@ -84,7 +84,7 @@ def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine
     table = interpretations.likelihood_profile("ekf", "theta", (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
     assert list(table["sigma"]) == pytest.approx(
-        [factor * tuning.SIGMA_W["ekf"]["calibrated"][2] for factor in (0.2, 1, 5)]
+        [factor * tuning.SIGMA_W["ekf"]["likelihood"][2] for factor in (0.2, 1, 5)]
     )
 
 
@@ -93,8 +93,8 @@ def test_every_entry_has_its_profile_with_both_values(virtual_machine):
     entries = interpretations.ENTRIES.values()
     assert list(profiles) == [entry.label for entry in entries]
     for (table, *values), entry in zip(profiles.values(), entries):
-        assert values == [entry.values["printed"], entry.values["calibrated"]]
-        assert table["sigma"].item() == entry.values["calibrated"]
+        assert values == [entry.values["printed"], entry.values["likelihood"]]
+        assert table["sigma"].item() == entry.values["likelihood"]
 
 
 def test_kappa_is_known_better_in_curves(virtual_machine):
@@ -114,7 +114,7 @@ def moved(virtual_machine):
         patch.setattr(
             interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)
         )
-        yield interpretations.one_at_a_time("calibrated", 3)
+        yield interpretations.one_at_a_time("likelihood", 3)
 
 
 def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
@@ -152,7 +152,7 @@ def test_changes_are_read_as_texts(moved):
 
 def test_the_entries_of_w_are_those_of_the_tuning():
     values = interpretations.ENTRIES["rhe_kappa"].values
-    assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "calibrated")}
+    assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "likelihood")}
     assert [entry.values["printed"] for entry in interpretations.ENTRIES.values()][:2] == [
         paper.SIGMA_W_EKF[0],
         paper.SIGMA_W_EKF[2],
@@ -160,7 +160,7 @@ def test_the_entries_of_w_are_those_of_the_tuning():
 
 
 def test_the_forest_has_a_row_for_each_interpretation(moved):
-    figure = forest(moved, "calibrated")
+    figure = forest(moved, "likelihood")
     assert text_defects(figure) == []
     assert len(figure.axes[0].get_yticklabels()) == 5
     assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
@@ -171,7 +171,7 @@ def test_what_is_off_the_scale_of_the_forest_has_its_number(moved):
         change=moved["change"].where(moved["interpretation"] != "R10", 1234.0),
         change_low=moved["change_low"].where(moved["interpretation"] != "R10", 1233.0),
     )
-    for axes in forest(far, "calibrated").axes:
+    for axes in forest(far, "likelihood").axes:
         assert [text.get_text() for text in axes.texts] == ["+1.2e+03"]
 
 

@@ -23,7 +23,7 @@ seed: int = 7  # as of rhec.Scenario
 seeds: whole(2, 1000) = 20
 speed_mps: float = 0.5  # [m/s] as of rhec.Scenario
 delay_s: real(-10, 10) = 0
-process_noise: Literal["printed", "calibrated"] = "printed"
+process_noise: Literal["printed", "likelihood"] = "printed"
 gains: list[real(0, 100)] = [1, 2.5]
 is_robust: bool = False
 file: str = "log.csv"
@@ -46,7 +46,7 @@ def executed(cell=CELL, **injected):
         ("seeds", 1000),
         ("speed_mps", 1),
         ("delay_s", -10),
-        ("process_noise", "calibrated"),
+        ("process_noise", "likelihood"),
         ("gains", (100,)),
         ("gains", []),
         ("is_robust", True),
@@ -70,9 +70,9 @@ def test_allowed_values_pass(name, value):
         (
             "process_noise",
             "guess",
-            "process_noise was 'guess'; it should be 'printed' or 'calibrated'",
+            "process_noise was 'guess'; it should be 'printed' or 'likelihood'",
         ),
-        ("process_noise", [1], "process_noise was [1]; it should be 'printed' or 'calibrated'"),
+        ("process_noise", [1], "process_noise was [1]; it should be 'printed' or 'likelihood'"),
         ("gains", [1, False], "gains[1] was False; it should be a valid number"),
         ("is_robust", 1, "is_robust was 1; it should be a valid boolean"),
         ("file", 1, "file was 1; it should be a valid string"),

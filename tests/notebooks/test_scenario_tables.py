@@ -21,8 +21,8 @@ def test_scenario_b_drives_both_estimators_under_both_process_noises(virtual_mac
     assert len(sweep) == 8 and {name: list(of) for name, of in runs.items()} == dict.fromkeys(
         scenario_tables.PROCESS_NOISES, ["RHE", "EKF"]
     )
-    (run,) = runs["calibrated"]["EKF"]
-    scenario = rhec.Scenario(estimator="ekf", process_noise="calibrated", **SHORT)
+    (run,) = runs["likelihood"]["EKF"]
+    scenario = rhec.Scenario(estimator="ekf", process_noise="likelihood", **SHORT)
     assert run.scenario == scenario
-    pair = scenario_tables.rhe_and_ekf(process_noise="calibrated", seed=0, **SHORT)
+    pair = scenario_tables.rhe_and_ekf(process_noise="likelihood", seed=0, **SHORT)
     assert pair["EKF"].columns["x_m"].tolist() == run.columns["x_m"].tolist()

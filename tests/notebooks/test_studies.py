@@ -30,7 +30,7 @@ def test_a_study_scores_five_estimators(log):
 def test_the_papers_estimators_have_the_noise_that_was_asked_for():
     printed = recorded_logs.estimators("printed", {})
     assert {each["process_noise"] for name, each in printed.items() if name != "RHE"} == {"printed"}
-    calibrated = recorded_logs.estimators("calibrated", {})
+    calibrated = recorded_logs.estimators("likelihood", {})
     lengths = {name: len(each["sigma_w"]) for name, each in calibrated.items() if name != "RHE"}
     assert [*lengths.values()] == [5, 6, 4, 6]
     for arguments in calibrated.values():

@@ -2,14 +2,17 @@
 
 import dataclasses
 import json
+import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import SIMPLE_WORLD, may_be_lost, recorded_log
+from matplotlib.figure import Figure
 
 import rhec
 from rhec.cli import main
@@ -91,6 +94,10 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
         (["simulate", "--seed", "-1"], "seed was -1"),
         (["simulate", "--world", "mars"], "world was 'mars'"),
         (["simulate", "--log", "log.txt"], "--log was 'log.txt'"),
+        (["simulate", "--log", "no/such.csv"], "--log was 'no/such.csv'; there is no folder 'no'"),
+        (["simulate", "--plot", "x.nothing"], "--plot was 'x.nothing'; it should end in .png or"),
+        (["calibrate", "missing.csv", "--yaml", "no/y.yaml"], "--yaml was 'no/y.yaml'"),
+        (["replay", "missing.csv", "--folder", os.devnull], "--folder was"),
         (["campaign", "--seeds", "0"], "--seeds was 0"),
         (["campaign", "-p", "seed"], "-p seed had no value"),
         (["replay", "missing.csv"], "log was 'missing.csv'"),
@@ -109,6 +116,68 @@ def test_a_mistake_gets_one_sentence(capsys, tmp_path, monkeypatch, words, sente
     error = capsys.readouterr().err
     assert error.startswith("rhec: ") and sentence in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda file: file.touch(), []),
+        (lambda file: file.symlink_to("nowhere.csv"), []),
+        (lambda file: file.symlink_to("nowhere.csv"), ["--overwrite"]),
+        (lambda file: file.mkdir(), ["--overwrite"]),
+        (os.mkfifo, ["--overwrite"]),
+    ],
+    ids=["file", "link", "link to overwrite", "folder to overwrite", "pipe to overwrite"],
+)
+def test_what_exists_is_kept(capsys, tmp_path, make, words):
+    file = tmp_path / "log.csv"
+    make(file)
+    before = file.lstat()
+    assert main(["simulate", *SHORT, "--log", str(file), *words]) == 2
+    assert "exists; give another name" in capsys.readouterr().err
+    assert file.lstat() == before and [*tmp_path.iterdir()] == [file]
+
+
+@may_be_lost
+def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path, monkeypatch):
+    """As if the disk were full in the middle of it."""
+    recorded = tmp_path / "recorded.csv"
+    recorded_log(duration_s=30.0, noise_m=0.02).to_csv(recorded, index=False)
+    run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
+    replay = ["replay", str(log_file), "--estimator", "ekf", "--folder", "estimates"]
+    calibrate = ["calibrate", str(recorded), "--yaml", "robot.yaml"]
+    monkeypatch.chdir(tmp_path)
+    for words in (run, replay, calibrate):
+        assert main(words) == 0
+    whole = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+
+    def half(self, file, *_, **__):
+        (self if isinstance(self, Path) else Path(file)).write_bytes(b"half")
+        raise OSError("No space left on device")
+
+    writers = [(pd.DataFrame, "to_csv"), (pd.DataFrame, "to_parquet"), (Figure, "savefig")]
+    for owner, name in [*writers, (Path, "write_text")]:
+        with monkeypatch.context() as failing:
+            failing.setattr(owner, name, half)
+            codes = [main([*words, "--overwrite"]) for words in (run, replay, calibrate)]
+        assert 1 in codes
+        assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == whole
+
+
+def test_the_notebooks_of_another_checkout_are_not_opened(capsys, tmp_path, monkeypatch):
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "notebooks/00_start.ipynb").touch()
+    monkeypatch.chdir(tmp_path)
+    assert main(["lab"]) == 2
+    assert f"not of the checkout {tmp_path}" in capsys.readouterr().err
+
+
+def test_help_needs_no_utf_8(tmp_path):
+    environment = os.environ | dict(PYTHONIOENCODING="latin-1")
+    command = [sys.executable, "-m", "rhec", "simulate", "--help"]
+    ended = subprocess.run(command, capture_output=True, cwd=tmp_path, env=environment)
+    assert ended.returncode == 0 and not ended.stderr
+    assert "--duration-s" in ended.stdout.decode("latin-1")
 
 
 def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):

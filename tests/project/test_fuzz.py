@@ -24,7 +24,7 @@ from notebooks import run as notebook
 from rhec import paper
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import LOG
-from rhec.tracked_robot.live import PaperRHC, PaperRHE
+from rhec.tracked_robot import own_loop
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 N = paper.HORIZON
@@ -290,7 +290,7 @@ def test_paths_and_terrains(entry, data):
     ).filter(lambda fields: not isinstance(fields.get("prediction_horizon"), int))
 )
 def test_an_estimator_and_a_controller(fields):
-    for entry, made in ((rhec.RHE, PaperRHE), (rhec.RHC, PaperRHC)):
+    for entry, made in ((rhec.RHE, own_loop.RHE), (rhec.RHC, own_loop.RHC)):
         refused_by_name(
             lambda: entry(**fields), [*inspect.signature(made).parameters, entry.__name__]
         )

@@ -3,6 +3,13 @@
 import re
 from pathlib import Path
 
+import casadi as ca
+import pytest
+import yaml
+
+import rhec
+from docs.site import report
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -17,3 +24,33 @@ def test_the_threat_model_names_tests_that_exist():
     assert named
     for path in named:
         assert (ROOT / path).exists(), path
+
+
+def test_helpers_of_casadi_in_an_export_are_under_the_licence_that_is_named(tmp_path):
+    """Only one of them, of three lines, has no licence of its own."""
+    folder = rhec.export(rhec.Scenario(duration_s=4), tmp_path / "c")
+    code = (folder / "rhec_functions.h").read_text()
+    helpers = {*re.findall(r"#define (casadi_[a-z]\w+) CASADI_PREFIX", code)} - {"casadi_axpy"}
+    runtime = Path(ca.__file__).parent / "include/casadi/core/runtime"
+    files = [runtime / f"{name}.hpp" for name in helpers]
+    texts = [file.read_text() for file in files if file.exists()]
+    assert len(texts) > 3
+    assert all("MIT No Attribution" in text for text in texts)
+    assert "MIT-0" in (folder / "README.txt").read_text()
+
+
+@pytest.mark.parametrize("package", report.SHOWN)
+def test_the_site_has_the_licences_of_what_it_shows(package):
+    text = report.licence(package)
+    assert "Copyright" in text and "WARRANT" in text
+
+
+@pytest.mark.parametrize(
+    "file", sorted((ROOT / ".github/workflows").iterdir()), ids=lambda f: f.name
+)
+def test_actions_are_pinned_by_digest(name):
+    jobs = yaml.safe_load((ROOT / f".github/workflows/{name}.yml").read_text())["jobs"]
+    used = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
+    assert used
+    for action in used:
+        assert re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action), action

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 import rhec
 from rhec.core.batch.batch import EKFBatch, RHEBatch
+from rhec.core.estimator.rhe import RHE
 
 Array = NDArray[Any]
-SCENARIO = rhec.Scenario(process_noise="calibrated", duration_s=2.0)
+SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
 
 
 def test_one_run_and_many() -> None:
@@ -50,8 +51,8 @@ def test_a_loop_of_ones_own() -> None:
     rhc.prepare()
     estimate = rhe.feedback((0.0, 0.0, 0.5, 0.0))
     xi_ref, omega_ref = assert_type(tracker.references(estimate, 0.0), tuple[Array, Array])
-    omega = rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref)
-    assert isinstance(omega, float) and assert_type(rhc.ok, bool) and assert_type(rhe.ok, bool)
+    omega = assert_type(rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref), float)
+    assert type(omega) is float and assert_type(rhc.ok, bool) and assert_type(rhe.ok, bool)
     assert_type(rhc.kkt, float)
 
 
@@ -64,7 +65,7 @@ def test_any_robot() -> None:
         f=lambda x, u, p: u * (1 - p),
     )
     noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.01), guess=(0, 0), sigma_guess=(1, 1))
-    rhe = rhec.RHE(model=model, dt=0.2, horizon=5, **noise)
+    rhe = assert_type(rhec.RHE(model=model, dt=0.2, horizon=5, **noise), RHE)
     ekf = rhec.EKF(model=model, dt=0.2, **noise)
     for estimator in (rhe, ekf):
         estimator.prepare()

@@ -276,7 +276,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     other_target = rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))
     changes = dict(
         estimator="rhe",
-        process_noise="calibrated",
+        process_noise="likelihood",
         sigma_v=(0.1,) * 4,
         sigma_w=(1.0,) * 4,
         speed_model="input",
@@ -982,7 +982,7 @@ def test_the_caller_of_a_long_campaign_needs_little_memory_beside_its_scenarios(
 
 def test_a_table_is_changed_as_any_other(monkeypatch):
     monkeypatch.setattr(campaigns, "_run_all", finished)
-    scenarios = [rhec.Scenario(seed=seed, process_noise="calibrated") for seed in range(2503)]
+    scenarios = [rhec.Scenario(seed=seed, process_noise="likelihood") for seed in range(2503)]
     one, other = rhec.campaign(scenarios), rhec.campaign(scenarios)
     fields = [field.name for field in dataclasses.fields(rhec.Scenario)]
     values = [[getattr(scenario, name) for name in fields] for scenario in scenarios]

@@ -26,7 +26,7 @@ Z = np.column_stack(
     [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
 )  # smooth, and no two samples alike
 DURING = slice(50, 60)  # 10 s ≤ t < 12 s
-SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="calibrated", duration_s=30.0)
+SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=30.0)
 
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
@@ -288,7 +288,7 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
         family: dict(list(fault_study.CASES[family].items())[:2]) for family in ("outage", "start")
     }
     table, errors = fault_study.study(
-        rhec.Scenario(process_noise="calibrated"),
+        rhec.Scenario(process_noise="likelihood"),
         range(2),
         {"RHE": {}, "EKF": {"arrival_mean": "filtered"}},
         cases,

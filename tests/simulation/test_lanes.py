@@ -14,9 +14,9 @@ from robots import BICYCLE
 
 import rhec
 from notebooks.studies import condensed
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
-from rhec.core._casadi.scan import build_scan, scan
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import joint_guess
@@ -58,7 +58,7 @@ def unlike(kind):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            SMALL, seed=i, **dict(process_noise=("printed", "calibrated")[i % 2]) | kind,
+            SMALL, seed=i, **dict(process_noise=("printed", "likelihood")[i % 2]) | kind,
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
@@ -82,9 +82,8 @@ def one_by_one_and_at_once(build, structure, memories, streams, settings, load=l
     functions, block = compiled.load(build, *structure), load(build, *structure)
     assert block.lanes in (2, 4, 8)
     runs = [*zip(memories, streams, settings)]
-    groups = (zip(*runs[k : k + block.lanes]) for k in range(0, len(runs), block.lanes))
-    at_once = [rows for group in groups for rows in lanes.scan(block, *group)]
-    return [scan(functions, *run)[1] for run in runs], at_once
+    at_once = runner.run(block, memories, streams, settings)
+    return [runner.run_one(functions, *run) for run in runs], at_once
 
 
 LOADS = {name: (kind, lanes.load) for name, kind in KINDS.items()}
@@ -117,7 +116,7 @@ def own_robot():
 
 
 def build_own_loop():
-    return build_scan(fused_sample(*own_robot()))
+    return runner.build(fused_sample(*own_robot()))
 
 
 def test_an_own_model_has_the_same_bits_in_a_lane():
@@ -152,7 +151,7 @@ def rows_of(folder, **fields):
     if not (folder / "library.so").exists():
         return None
     noise = closed_loop.noise_and_faults(0, (), 100)
-    (rows,) = lanes.scan(lanes._Block(folder), [setup.memory], [noise], [setup.settings])
+    (rows,) = runner.run(lanes.InLanes(folder), [setup.memory], [noise], [setup.settings])
     return rows.copy()
 
 
@@ -231,10 +230,8 @@ def test_runs_of_unlike_length_share_lanes(always, monkeypatch):
         for length in (0.0, 2.0, 6.0, 30.0)
         for seed in range(block.lanes // 4 or 1)
     ]
-    scan_lanes, at_once = lanes.scan, []
-    monkeypatch.setattr(
-        lanes, "scan", lambda *given: at_once.append(len(given[1])) or scan_lanes(*given)
-    )
+    run, at_once = runner.run, []
+    monkeypatch.setattr(runner, "run", lambda *given: at_once.append(len(given[1])) or run(*given))
     table = rhec.campaign(scenarios, workers=1)
     assert at_once == [block.lanes] * (len(scenarios) // block.lanes)
     assert_rows_of_simulate(table, scenarios)
@@ -331,7 +328,7 @@ def build_functions():
     memory, x = ca.MX.sym("memory"), ca.MX.sym("x")
     found = chosen(ca.fabs(x - memory) < 1, memory, x)
     sample = [memory, x], [*found], ["memory_in", "x"], ["memory_out", "row"]
-    return build_scan(ca.Function("sample", *sample))
+    return runner.build(ca.Function("sample", *sample))
 
 
 def angles(n):
@@ -345,7 +342,7 @@ def test_own_functions_are_within_a_few_units_in_the_last_place():
     x = angles(20_000)
     if np.finfo(np.longdouble).eps > 1e-18:
         pytest.skip("no number here is longer than a double")
-    (_, rows) = scan(compiled.load(build_functions), np.array([np.nan]), x[:, None], {})
+    rows = runner.run_one(compiled.load(build_functions), np.array([np.nan]), x[:, None], {})
     x, beside = x.astype(np.longdouble), (1 - np.abs(x)).astype(np.longdouble)
     known = {0: (np.sin(x), 2), 1: (np.cos(x), 2), 9: (np.arctan2(x, beside), 3)}
     known[7] = (np.exp(-np.abs(x)), 1)
@@ -364,7 +361,7 @@ def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar(load):
     runs = memories, streams, settings
     one_by_one, at_once = one_by_one_and_at_once(build_functions, (), *runs, load)
     np.testing.assert_array_equal(at_once, one_by_one)
-    virtual = scan(build_functions(), memories[0], streams[0], {})[1]
+    virtual = runner.run_one(build_functions(), memories[0], streams[0], {})
     near = np.abs(streams[0][:, 0]) < 1e5
     np.testing.assert_allclose(one_by_one[0][near], virtual[near], rtol=1e-12, atol=1e-15)
 
@@ -373,8 +370,8 @@ def test_threads_do_not_meet_in_a_block():
     block, x = lanes.load(build_functions), angles(500)
     memories, settings = np.arange(2.0)[:, None], [{}] * 2
     streams = [np.stack([x, x[::-1]])[..., None] + thread for thread in range(8)]
-    alone = [lanes.scan(block, memories, stream, settings) for stream in streams]
+    alone = [runner.run(block, memories, stream, settings) for stream in streams]
     with concurrent.futures.ThreadPoolExecutor(8) as pool:
-        found = pool.map(lambda stream: lanes.scan(block, memories, stream, settings), streams * 5)
+        found = pool.map(lambda stream: runner.run(block, memories, stream, settings), streams * 5)
     for number, rows in enumerate(found):
         np.testing.assert_array_equal(rows, alone[number % 8])

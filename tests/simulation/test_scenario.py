@@ -14,7 +14,6 @@ import rhec
 from rhec import paper
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
@@ -228,32 +227,38 @@ def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
         )
 
 
-def test_consistent_process_noise_brings_what_belongs_to_it_unless_that_is_given():
-    def noise(scenario):
-        settings = estimator_of("rhe").settings(scenario)
-        return Choice.of(scenario).arrival_mean, *np.sqrt([*settings["V"], *settings["W"]])
-
-    for name in ("printed", "calibrated"):
-        usual = noise(rhec.Scenario(process_noise=name))
-        assert usual[0] == "smoothed"
-        np.testing.assert_allclose(usual[1:5], paper.SIGMA_V)
-    scenario = rhec.Scenario(process_noise="consistent")
-    arrival_mean, *sigma = noise(scenario)
-    assert arrival_mean == "filtered" and sigma[3] > 2 * paper.SIGMA_V[3]
-    np.testing.assert_allclose(sigma[4:], tuning.SIGMA_W["rhe"]["consistent"])
-    own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), arrival_mean="smoothed", sigma_w=(0.5,) * 6)
-    assert noise(dataclasses.replace(scenario, **own))[0] == "smoothed"
-    np.testing.assert_allclose(
-        noise(dataclasses.replace(scenario, **own))[1:], (0.1, 0.2, 0.3, 0.4, *(0.5,) * 6)
-    )
-    printed = dataclasses.replace(scenario, process_noise="printed")
-    assert printed == rhec.Scenario()
+def sigma_v_and_w(**fields):
+    """Standard deviations of measurements and of process noise that an estimator assumes."""
+    scenario = rhec.Scenario(**fields)
+    settings = estimator_of(scenario.estimator).settings(scenario)
+    return tuple(tuple(np.sqrt(settings[name]).round(12)) for name in "VW")
 
 
-def test_an_estimator_without_a_consistent_process_noise_says_so():
-    assert refusal(estimator="ekf", process_noise="consistent") == (
-        "process_noise was 'consistent'; for the estimator 'ekf' it should be one of "
-        "('printed', 'calibrated')"
+def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
+    printed = {
+        name: sigma_v_and_w(estimator=name, process_noise="printed") for name in ("rhe", "ekf")
+    }
+    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE) == sigma_v_and_w()
+    assert printed["ekf"] == (paper.SIGMA_V, paper.SIGMA_W_EKF)
+    likeliest = sigma_v_and_w(estimator="ekf", process_noise="likelihood")
+    assert likeliest == sigma_v_and_w(estimator="ekf") != printed["ekf"]
+    # Another estimator brings its own default.
+    scenario = dataclasses.replace(rhec.Scenario(), estimator="ekf")
+    assert scenario == rhec.Scenario(estimator="ekf")
+
+
+def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
+    sigma_v, sigma_w = sigma_v_and_w(process_noise="consistent")
+    assert sigma_v[3] > paper.SIGMA_V[3]
+    assert sigma_w == tuning.SIGMA_W["rhe"]["consistent"]
+    own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), sigma_w=(0.5,) * 6)
+    assert sigma_v_and_w(process_noise="consistent", **own) == tuple(own.values())
+
+
+def test_a_process_noise_that_an_estimator_has_not_is_refused():
+    assert refusal(estimator="traction_oracle", process_noise="printed") == (
+        "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
+        "of ('likelihood',)"
     )
 
 

@@ -66,13 +66,20 @@ def _working_compiler():
     path = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
     if os.name != "posix":  # the flags and the cache's locks are those of POSIX
         path = None
-    # A file that is no program, or one that hangs.
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-        answer = [path, "--version"]
-        if path and not subprocess.run(answer, capture_output=True, timeout=_ANSWER_S).returncode:
-            return path
+    if path and answer_of([path, "--version"]) is not None:
+        return path
     problem = f"the C compiler {path} fails" if path else "no C compiler found"
     cache.warn_once(f"{problem}: {_SLOWER}")
+    return None
+
+
+def answer_of(command):
+    """What a compiler prints, or None if it fails, hangs or is no program."""
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_ANSWER_S
+        )
+        return None if done.returncode else done.stdout
     return None
 
 

@@ -100,8 +100,7 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     hints = get_type_hints(function)  # without what is Annotated
     function.__annotations__["return"] = returned
     names = list(signature(function).parameters)
-    # PaperRHE and PaperRHC are made as RHE and RHC.
-    called = function.__qualname__.removesuffix(".__init__").removeprefix("Paper")
+    called = function.__qualname__.removesuffix(".__init__")
 
     @functools.wraps(function)
     def call(*arguments: _P.args, **named: _P.kwargs) -> _T:

@@ -5,21 +5,24 @@ own to the last bit, because both evaluate the same phases.
 """
 
 import functools
+import math
 from typing import Annotated, Any, ClassVar, NamedTuple, overload
 
 import numpy as np
 from pydantic import Field
 
+from rhec.core._casadi import cache, compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Steps, Whole, checked, refuse, shown
 from rhec.core.batch import functions
-from rhec.core.batch.rows import Rows, evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
+from rhec.core.batch.rows import evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
 from rhec.core.controller import rhc
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import variances_w
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
+from rhec.core.lanes import lanes
 from rhec.core.solver.rti import IMPROVE
 
 Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
@@ -27,6 +30,21 @@ Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
 # The QP's guesses are at most 2^doublings + 1. All runs try the first number, and those for which
 # it was too small the next one, among themselves; the last number is that of a single object.
 _DOUBLINGS = (2, 4, 6)
+
+_ONE_BY_ONE = (
+    "no SIMD lanes, for want of a C++ compiler that can make them: a batch computes one run after "
+    "the other, with the same results, some five times slower"
+)
+
+
+def _program(build, *structure):
+    """The Program of the Functions of build(*structure)."""
+    if not lanes.is_compiled(build, *structure):
+        compiled.announce(build)
+    program = lanes.program(build, *structure)
+    if program.lanes == 1:
+        cache.warn_once(_ONE_BY_ONE)
+    return program
 
 
 class Estimates(NamedTuple):
@@ -60,8 +78,9 @@ class _Batch:
 
         Args:
             n: Number of runs.
-            iterations: Rows that take in a sample; each but the last may give up where `ok` is 0.
-            shift: Rows that move the memory on by one sample, or None.
+            iterations: Programs that take in a sample; each but the last may give up where `ok` is
+                0.
+            shift: Program that moves the memory on by one sample, or None.
             constants: {name: array} of inputs that all runs share and that never change.
             inputs: {name: shape of one run} of the other inputs.
         """
@@ -78,10 +97,14 @@ class _Batch:
         }
         self._memory = zeros(n, sizes["memory"], self._width)
         self._spare = zeros(n, sizes["memory"], self._width)
-        lengths = iterations[-1].lengths
-        self._results = {name: zeros(n, lengths[name], self._width) for name in self.results}
+        self._results = self._zeros_of(iterations[-1], self.results)
         self._is_new = np.ones(n, dtype=bool)  # whether a run's next sample is its first
         self._is_prepared = False
+
+    def _zeros_of(self, program, names):
+        """Return arrays for these results of a Program, by name."""
+        lengths = {name: math.prod(program.shapes[name]) for name in names}
+        return {name: zeros(self.n, lengths[name], self._width) for name in names}
 
     def __repr__(self) -> str:
         how = f"{self._width} at a time" if self._width > 1 else "one after the other"
@@ -136,10 +159,10 @@ class _Batch:
         results = self._results | dict(memory=self._spare)
         first, *longer = self._iterations
         first.evaluate(arguments, results)
-        for rows in longer:
+        for program in longer:
             unsolved = np.flatnonzero(self._get("ok") != 1)
             if len(unsolved):
-                evaluate_some(rows, unsolved, arguments, results)
+                evaluate_some(program, unsolved, arguments, results)
         self._memory, self._spare = self._spare, self._memory
 
     def _improve(self, runs, iterations):
@@ -179,16 +202,15 @@ class _IteratedBatch(_Batch):
     """A batch of the real-time iteration."""
 
     def __init__(self, n, build, problem, source, inputs, doublings=()):
-        whole = Rows(build, problem, "iteration")
+        whole = _program(build, problem, "iteration")
         # A run alone waits for no other.
         shorter = doublings if whole.lanes > 1 else ()
-        iterations = [*(Rows(build, problem, "iteration", each) for each in shorter), whole]
-        shift = Rows(build, problem, "shift")
-        self._improvement = Rows(build, problem, IMPROVE)
+        iterations = [*(_program(build, problem, "iteration", each) for each in shorter), whole]
+        shift = _program(build, problem, "shift")
+        self._improvement = _program(build, problem, IMPROVE)
         super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
-        lengths = self._improvement.lengths
         names = ("converged", "done", "penalty_after")
-        self._improved = {name: zeros(n, lengths[name], self._width) for name in names}
+        self._improved = self._zeros_of(self._improvement, names)
 
     def _improve(self, runs, iterations):
         penalty = self._improved["penalty_after"]
@@ -411,8 +433,8 @@ class EKFBatch(_EstimatorBatch):
         self._model = source.model
         self._first = source.first_memory
         inputs = dict(z_N=(len(source.model.outputs),))
-        rows = Rows(functions.build_filter, source.model, source.dt_s)
-        super().__init__(n, [rows], None, source.settings, inputs)
+        program = _program(functions.build_filter, source.model, source.dt_s)
+        super().__init__(n, [program], None, source.settings, inputs)
 
     def feedback(self, z: Any) -> Estimates:
         """Estimate from the newest measurements, as single objects do.

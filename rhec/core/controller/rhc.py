@@ -11,7 +11,7 @@ of the joint state s = (x, p).
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import SkipValidation
@@ -52,8 +52,6 @@ def build_phases(horizon, *doublings):
 class RHC(RealTimeLoop):
     """Model predictive control for a user's control loop: `prepare()`, then `feedback(…)`.
 
-    Without `model` it is the paper's controller, `rhec.tracked_robot.live.PaperRHC`.
-
     Args:
         model: The robot, a rhec.Model.
         command: Names of the inputs that are commanded; the others follow their reference.
@@ -79,14 +77,9 @@ class RHC(RealTimeLoop):
         ValueError: if an argument is invalid.
     """
 
-    _options: Options | None = None  # none of the paper's controller
     _initial: InitialPlan | None = None
 
-    if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
-
-        def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
-
-    @valid.checked  # type: ignore[no-redef]
+    @valid.checked
     def __init__(
         self,
         *,
@@ -110,10 +103,14 @@ class RHC(RealTimeLoop):
         limits = dict(bounds=bounds, delta_bounds=delta_bounds, terminal_bounds=terminal_bounds)
         given = dict(model=model, command=command, dt=dt, horizon=horizon, outputs=outputs)
         self._options = Options(**given, **weights, **limits)
-        self._compile(problem_of(self._options))
+        self._load(self._problem_of(self._options))
 
-    def _compile(self, problem):
-        """Load the compiled phases and name views of their input arrays."""
+    def _problem_of(self, options):
+        """The Problem that the Options describe."""
+        return problem_of(options)
+
+    def _load(self, problem):
+        """Load the compiled phases of a Problem, and name views of their input arrays."""
         self.problem = problem.plain
         self.horizon = problem.plain.N
         self.structure = problem.structure
@@ -185,12 +182,12 @@ class RHC(RealTimeLoop):
         Raises:
             ValueError: If a value is invalid, or if it needs another controller.
         """
-        given = self._given_options()
-        unknown = [name for name in changes if name not in given._fields]
+        fields = self._options._fields
+        unknown = [name for name in changes if name not in fields]
         if unknown:
-            valid.refuse("update had", unknown[0], f"it may have {given._fields}")
-        options = given._replace(**changes)
-        problem = problem_of(options)
+            valid.refuse("update had", unknown[0], f"it may have {fields}")
+        options = self._options._replace(**changes)
+        problem = self._problem_of(options)
         if problem.structure != self.structure:
             raise ValueError(
                 f"update had {', '.join(changes)}, which changes what is weighed or bounded; that "
@@ -203,15 +200,7 @@ class RHC(RealTimeLoop):
     @property
     def bounds(self) -> dict:
         """Bounds by name, as they were given last."""
-        return dict(self._given_options().bounds or {})
-
-    def _given_options(self):
-        """The options of a Model's controller."""
-        if self._options is None:
-            raise ValueError(
-                "the controller was the paper's; bounds and update need a rhec.RHC with a model"
-            )
-        return self._options
+        return dict(self._options.bounds or {})
 
     def __repr__(self):
         problem = self.problem
@@ -258,9 +247,8 @@ class RHC(RealTimeLoop):
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
-        A Model's steps are shortened, by a line search or, with constraints, by what the last two
-        steps have shown, and end once `converged`. The paper's controller takes full steps, all of
-        them.
+        Steps are shortened, by a line search or, with constraints, by what the last two steps have
+        shown, and end once `converged`.
 
         Args:
             x: (n_x,) estimated state.

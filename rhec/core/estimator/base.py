@@ -21,11 +21,16 @@ class Estimate(namedtuple("Estimate", "x u p covariance")):
         n_x = len(self.x)
         sigma = np.sqrt(np.diag(self.covariance))
         sigma = [*sigma[:n_x], *[np.nan] * len(self.u), *sigma[n_x:]]  # inputs have no covariance
-        text = "Estimate"
-        for name, value, deviation in zip(self.names, [*self.x, *self.u, *self.p], sigma):
-            tolerance = "" if np.isnan(deviation) else f" ± {deviation:.2g}"
-            text += f"\n    {name}: {value:.4g}{tolerance}"
-        return text
+        return with_deviations(self.names, [*self.x, *self.u, *self.p], sigma)
+
+
+def with_deviations(names, values, sigma):
+    """An estimate as text, a line for each quantity; NaN among `sigma` is none."""
+    text = "Estimate"
+    for name, value, deviation in zip(names, values, sigma):
+        tolerance = "" if np.isnan(deviation) else f" ± {deviation:.2g}"
+        text += f"\n    {name}: {value:.4g}{tolerance}"
+    return text
 
 
 def _by_name(model, parameter, values):

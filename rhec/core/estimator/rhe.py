@@ -15,7 +15,7 @@ unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
 from collections import namedtuple
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
 from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_noise
-from rhec.core.estimator.base import Estimate, joint_estimate, joint_guess, noise_of, variances_w
+from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, variances_w
 from rhec.core.estimator.guard import Judge, first_noise, noise_memory, whole_noise, with_guard
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -42,7 +42,7 @@ from rhec.core.solver.rti import (
     run_phases,
 )
 
-ArrivalMean = Literal["smoothed", "filtered"]  # interpretation R7; see RHE
+ArrivalMean = Literal["filtered", "smoothed"]  # interpretation R7; see RHE
 UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
@@ -74,9 +74,17 @@ class Window(NamedTuple):
     model: Model
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the window
-    arrival_mean: ArrivalMean = "smoothed"
+    arrival_mean: ArrivalMean = "filtered"
     judge: Judge | None = None  # how each sample is used (`guard`); None: as it is measured
     noisy: bool = False  # whether process noise acts within the window (`window_noise`)
+    # Names of what the estimate holds, inputs as they are measured: with noise that is slip, an
+    # encoder does not measure the robot's motion. None: all of the model, as estimated.
+    quantities: tuple[str, ...] | None = None
+
+    @property
+    def estimated(self):
+        """Names of the estimate's entries."""
+        return self.quantities or self.model.names
 
     @property
     def interval(self):
@@ -301,7 +309,7 @@ def _build_update_newest(window):
     return update_newest
 
 
-def _build_condition(window, quantities):
+def _build_condition(window):
     interval = window.interval
     s, P, v, z, correction, theta = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
@@ -326,7 +334,7 @@ def _build_condition(window, quantities):
             # θ exactly as the QP found it: s above may pass a bound by a rounding error.
             s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
         v, R_v = interval.input_noise(z_N, v_N, **noise)
-        if not quantities:
+        if not window.quantities:
             # The last input as estimated; as measured where that is not finite.
             adjoint = C.T @ multipliers
             adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N)
@@ -334,7 +342,7 @@ def _build_condition(window, quantities):
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
-        estimate = ca.vertcat(*(values[name] for name in quantities or window.model.names))
+        estimate = ca.vertcat(*(values[name] for name in window.estimated))
         unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
         covariance = ca.if_else(ok, covariance, unknown)
         return dict(estimate=estimate, multipliers=multipliers, covariance=covariance, ok=ok)
@@ -342,12 +350,12 @@ def _build_condition(window, quantities):
     return condition
 
 
-def _build_feedback(window, quantities, loops):
+def _build_feedback(window, loops):
     n_theta = len(window.interval.bounds)
     _, lower, upper = _bounded(window.interval)
     s, _, _, z, *_ = window.shapes
     update_newest = _build_update_newest(window)
-    condition = _build_condition(window, quantities)
+    condition = _build_condition(window)
     solve = box_qp(n_theta) if n_theta else None
 
     @casadi_function("rhe_feedback", loops if n_theta <= 2 else ca.MX)
@@ -522,38 +530,36 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     return expand
 
 
-def _build_plain_phases(window, quantities, loops, whole_window):
+def _build_plain_phases(window, loops, whole_window):
     shift = _build_shift(window)
     linearise = _build_linearise(window, loops)
-    feedback = _build_feedback(window, quantities, loops)
+    feedback = _build_feedback(window, loops)
     expand = _build_expand(window, linearise, feedback, loops, whole_window)
     return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
 
 
-def build_phases(window, quantities=None):
+def build_phases(window):
     """The RHE as {name: Function}: shift, linearise, feedback, expand (see `rti`) and step.
 
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
-    m_0 if the judge doubts the model. The estimate's entries are the named `quantities`, in which
-    inputs are as measured: with noise that is slip, an encoder does not measure the robot's motion.
-    By default they are all states, inputs and parameters, as estimated.
+    m_0 if the judge doubts the model.
     """
     loops = compiled.loop_symbols()
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
     kind = loops if is_closed_form else ca.MX
     if window.model.state_bounds:
-        free = _build_plain_phases(window_bounds.without_bounds(window), quantities, loops, True)
+        free = _build_plain_phases(window_bounds.without_bounds(window), loops, True)
         phases = window_bounds.with_bounds(window, free, _build_next_window(window), loops)
     else:
-        phases = _build_plain_phases(window, quantities, loops, window.doubts_model)
+        phases = _build_plain_phases(window, loops, window.doubts_model)
     if window.judge or window.noisy:
         phases = with_guard(window, phases, kind)
     return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
 
 
 def build_solvable(window):
-    """The phases of all quantities, and `improve`, by which `solve` iterates with a line search."""
+    """The phases, and `improve`, by which `solve` iterates with a line search."""
     phases = build_phases(window)
     return phases | {IMPROVE: _build_improve(window, phases)}
 
@@ -633,8 +639,6 @@ def _build_improve(window, phases):
     cost_and_gaps, unknowns, data = _build_cost_and_gaps(window)
     search = line_search("rhe_search", unknowns, data, cost_and_gaps)
     model = window.model
-    n_u = len(model.inputs)
-    places = {name: model.joint_names.index(name) for name in (*model.states, *model.parameters)}
     iteration = [phases[name] for name in PHASES if name != "shift"]
     shapes = window.memory | _outer_inputs(iteration, window.memory) | dict(penalty=PENALTY)
 
@@ -651,11 +655,14 @@ def _build_improve(window, phases):
         chosen = search(**select_inputs(search, given), penalty=penalty)
         ok = values["ok"]
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
-        newest = [moved["s"][place, window.N] for place in places.values()]
-        newest[len(model.states) : len(model.states)] = ca.vertsplit(moved["v"][:n_u, -1])
+        newest = dict(zip(window.estimated, ca.vertsplit(values["estimate"])))
+        of_window = dict(zip(model.joint_names, ca.vertsplit(moved["s"][:, window.N])))
+        if not window.quantities:  # otherwise inputs are as measured
+            of_window |= dict(zip(model.inputs, ca.vertsplit(moved["v"][:, -1])))
+        newest |= {name: of_window[name] for name in newest if name in of_window}
         # After a full step that of the feedback, whose parameters are exactly at their bounds.
         shortened = ok * (1 - chosen["is_full"])
-        estimate = ca.if_else(shortened, ca.vertcat(*newest), values["estimate"])
+        estimate = ca.if_else(shortened, ca.vertcat(*newest.values()), values["estimate"])
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= full | moved | dict(estimate=estimate, converged=chosen["converged"] * ok)
         outputs["done"] = chosen["done"] * ok
@@ -717,9 +724,6 @@ class RHE(RealTimeLoop):
     A sample far outside its prediction is not used, and `ok` is False then; where such samples
     follow each other the window restarts there (`rhec.core.estimator.innovation_gate`).
 
-    Without `model` it is the estimator of the paper's robot, with the options of
-    `rhec.tracked_robot.live.PaperRHE`.
-
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
@@ -729,8 +733,8 @@ class RHE(RealTimeLoop):
             parameter. They enter the arrival cost, eq. (9), and with `noise_in_window` the window.
         guess: First guess of each state, then of each parameter.
         sigma_guess: Standard deviations of the guess.
-        arrival_mean: Prior mean of the oldest node: "smoothed", from the previous solution, or
-            "filtered", from the EKF update. On a linear model the latter is the Kalman filter.
+        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, so that on a
+            linear model the RHE is the Kalman filter; or "smoothed", from the previous solution.
         noise_in_window: Whether the process noise also acts within the window, whose states then
             need not follow the model exactly. `feedback` takes its standard deviations by sample.
 
@@ -738,11 +742,7 @@ class RHE(RealTimeLoop):
         ValueError: If an argument is invalid.
     """
 
-    if TYPE_CHECKING:  # without a model, the options are those of the paper's robot
-
-        def __init__(self, *, model: Model | None = None, **options: Any) -> None: ...
-
-    @valid.checked  # type: ignore[no-redef]
+    @valid.checked
     def __init__(
         self,
         *,
@@ -753,23 +753,38 @@ class RHE(RealTimeLoop):
         sigma_w: valid.NotNegatives,
         guess: valid.Reals,
         sigma_guess: valid.Positives,
-        arrival_mean: ArrivalMean = "smoothed",
+        arrival_mean: ArrivalMean = "filtered",
         noise_in_window: valid.Flag = False,
     ):
         if not model.inputs:
             raise ValueError("model had no inputs; RHE needs at least one, rhec.EKF needs none")
-        self.model = model
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         m_0, sigma_0 = self._guess
-        self.settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
+        settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
         gate = innovation_gate.InnovationGate()
-        self.window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
-        functions = compiled.load(build_solvable, self.window)
-        memory = tuple(self.window.memory)
-        self.iteration = RealTimeIteration(functions, memory, UNKNOWNS, **self.settings)
-        self._inputs = dict(z=self.iteration.arrays["z_N"])
+        window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
+        self._load(build_solvable, window, settings)
+
+    def _load(self, build, window, settings):
+        """Load the compiled phases `build(window)`, and name views of their arrays.
+
+        Args:
+            build: `build_phases` or `build_solvable`.
+            window: The Window.
+            settings: {name: array} of the variances V, W, P_0, and what else the phases take.
+        """
+        self.model = window.model
+        self.window = window
+        self.settings = settings
+        functions = compiled.load(build, window)
+        self.iteration = RealTimeIteration(functions, tuple(window.memory), UNKNOWNS, **settings)
+        arrays = self.iteration.arrays
+        n_s = self.model.n_s
+        self._inputs = dict(z=arrays["z_N"])
+        # Views of the result, made once: reshaping takes longer than the QP of the feedback.
+        self._result = (arrays["estimate"], arrays["covariance"].reshape(n_s, n_s))
 
     def __repr__(self) -> str:
         started = "started" if self.iteration.started else "not started"
@@ -798,8 +813,7 @@ class RHE(RealTimeLoop):
     def solve(self, z: Any, iterations: int = 20, sigma_w: Any = None) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
-        A Model's steps are shortened by a line search, so that the cost falls, and end once
-        `converged`. The paper's estimator takes full steps, all of them.
+        Steps are shortened by a line search, so that the cost falls, and end once `converged`.
 
         Args:
             z: (n_z,) measurements, as in `feedback`.
@@ -846,8 +860,6 @@ class RHE(RealTimeLoop):
     def _start(self):
         self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
 
-    def _estimate(self) -> Estimate:
-        arrays = self.iteration.arrays
-        n_s = self.model.n_s
-        covariance = arrays["covariance"].reshape(n_s, n_s).copy()
-        return joint_estimate(self.model, arrays["estimate"].copy(), covariance)
+    def _estimate(self):
+        values, covariance = self._result
+        return joint_estimate(self.model, values.copy(), covariance.copy())

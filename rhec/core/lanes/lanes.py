@@ -1,4 +1,4 @@
-"""Several scans at a time, one per SIMD lane, with the same bits as scans one after the other.
+"""Several runs at a time, one per SIMD lane, with the same bits as runs one after the other.
 
 CasADi's C of a Function is compiled as C++ with vectors as numbers (lanes.h). If the platform or
 the Function does not allow this (no C++ compiler, a QP solver), the compilation fails once.
@@ -9,19 +9,16 @@ import ctypes
 import functools
 import json
 import math
-import operator
 import os
 import re
 import shutil
-import subprocess
-import threading
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
 from rhec.core._casadi import cache, compiled
 from rhec.core.lanes.parts import compile_by_parts
+from rhec.core.runner import OneByOne, Program
 
 # These passes take a fifth of the time to compile, and gain nothing. Clang refuses the flags.
 _GCC_FLAGS = ("-fno-tree-vrp", "-fno-thread-jumps", "-fno-tree-pre")
@@ -40,7 +37,9 @@ _ASSIGNMENT = re.compile(r"  (a\d+)=(?:(sin|cos)\((a\d+)\);$)?")
 def _vectorise(code):
     """Return CasADi's C as C++ for lanes, with calls for operators that C++ cannot overload."""
     code = "\n".join(_join_sines_and_cosines(code.splitlines()))
-    code = re.sub(rf"^\w+ casadi_({_HELPERS})\(.*?^}}\n", "", code, flags=re.M | re.S)
+    # A helper ends on its first line or where the next closing bracket begins a line.
+    helper = rf"^\w+ casadi_({_HELPERS})\([^\n]*?(\}}|\n.*?^\}})\n"
+    code = re.sub(helper, "", code, flags=re.M | re.S)
     code = re.sub(r"\bcasadi_(fmin|fmax|fabs|sign)\(", r"\1(", code)
     code = re.sub(r"\((\w+|\(\*cr\+\+\))\?(\w+(?:\[i\])?):0\)", r"select(\1, \2, 0.0)", code)
     # An interpolant of two dimensions with values as inputs, whatever its name.
@@ -86,8 +85,8 @@ def _compiler():
     if not (compiler and compiled.compiler()):
         return None
     command = [compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
-    answer = subprocess.run(command, capture_output=True, text=True)
-    return None if answer.returncode else (compiler, answer.stdout)
+    macros = compiled.answer_of(command)
+    return None if macros is None else (compiler, macros)
 
 
 def _name(build, structure):
@@ -101,22 +100,31 @@ def is_compiled(build, *structure):
 
 @functools.cache
 def load(build, *structure):
-    """Return the block of build(*structure) for several runs, or None if lanes are unavailable.
+    """Return the block of build(*structure) in lanes, or None if lanes are unavailable.
 
     `build` returns {block, step}: the Function of a call, and that of a sample, if it is another.
     """
     if not _compiler():
         return None
+    name = _name(build, structure)
+    # Built first, because an error in the structure is not the compiler's failure.
+    functions = None if cache.contains(name) else build(*structure)
 
     def make(place):
-        _compile(place, build(*structure))
+        _compile(place, functions or build(*structure))
 
     def open_block(folder):
-        return _Block(folder) if (folder / "library.so").exists() else None
+        return InLanes(folder) if (folder / "library.so").exists() else None
 
     with contextlib.suppress(cache.UnusableError):
-        return cache.load_or_build(_name(build, structure), make, open_block)
+        return cache.load_or_build(name, make, open_block)
     return None
+
+
+def program(build, *structure):
+    """Return the block of build(*structure) as a Program, in lanes where these are available."""
+    in_lanes = load(build, *structure)
+    return in_lanes or OneByOne(compiled.load(build, *structure)["block"])
 
 
 def _text(function, name=None):
@@ -127,7 +135,7 @@ def _text(function, name=None):
 
 
 def _compile(place, functions):
-    """Compile the Functions of a scan into a folder, which has no library.so if that fails."""
+    """Compile Functions {block, step} into a folder, which has no library.so if that fails."""
     # Compared with -O1, -O2 takes a third longer to compile; campaigns gain 3 to 20 %. The last
     # level counts, so the flags of `compiled` may say another.
     compiler, macros = _compiler()
@@ -146,35 +154,13 @@ def _compile(place, functions):
     (place / "block.json").write_text(json.dumps([sizes, shapes]))
 
 
-def aligned(*shape):
-    """Return zeros of this shape whose address is a multiple of the last dimension's size.
-
-    Loading a register requires that, where the last dimension is that of the lanes.
-    """
-    n = math.prod(shape)
-    raw = np.zeros(n + shape[-1])
-    begin = -raw.ctypes.data // 8 % shape[-1]
-    return raw[begin : begin + n].reshape(shape)
-
-
-class _Block:
-    """A compiled Function, such as that of a block of samples; each number has one entry per lane.
-
-    Attributes:
-        sizes: {argument: length}, in order; of a scan the memory, the stream and the settings.
-        shapes: {result: (rows, columns)}, in order; of a scan the memory and the rows.
-        lanes: Number of lanes.
-        lock: Lock for using the block, because all threads share its arrays.
-        last_settings: {name: list of the last values of the lanes}.
-    """
+class InLanes(Program):
+    """A compiled Function that computes as many runs at a time as the processor has lanes."""
 
     def __init__(self, folder):
-        self.sizes, self.shapes = json.loads((folder / "block.json").read_text())
-        self.lock = threading.Lock()
-        self.last_settings = {}
-        self._arrays = {}  # settings have their own names; all other names contain a space
+        sizes, shapes = json.loads((folder / "block.json").read_text())
         self._library = ctypes.CDLL(str(folder / "library.so"))
-        self.lanes = self._library.code_casadi_real_size() // 8
+        super().__init__(self._library.code_casadi_real_size() // 8, sizes, shapes)
         # CasADi's convention: pointers to arguments and results, and integer and real work space.
         lengths = [ctypes.c_longlong() for _ in range(4)]
         self._library.block_work(*map(ctypes.byref, lengths))
@@ -184,109 +170,17 @@ class _Block:
         self._integers = (ctypes.c_longlong * n_integers)()
         self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
 
-    def array(self, name, *shape):
-        """Return the array of this name, (*shape, lanes), reused while its shape is equal."""
-        if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
-            self._arrays[name] = aligned(*shape, self.lanes)
-        return self._arrays[name]
-
-    def interleave(self, name, values, *shape):
-        """Return the array of this name with one value per lane; values may be shorter than it."""
-        array = self.array(name, *shape)
-        first = values[0]
-        if all(value is first for value in values):
-            array[: len(first)] = first[..., None]
-        else:
-            for lane, value in enumerate(values):
-                array[: len(value), ..., lane] = value
-        return array
-
-    def set_argument(self, place, array):
-        """Set an argument to an array of this block."""
-        self._arguments[place] = array.ctypes.data
-
-    def call(self, memory, stream, next_memory, rows):
-        """Evaluate the block, from the addresses of memory and stream to those of the results."""
-        self._arguments[0] = memory
-        self._arguments[1] = stream
-        self._results[0] = next_memory
-        self._results[1] = rows
-        self._library.block(self._arguments, self._results, self._integers, self._reals, 0)
-
-    def call_groups(self, n_groups, arguments, results):
-        """Evaluate the Function for one group of lanes after the other.
-
-        Args:
-            n_groups: Number of groups.
-            arguments: Pairs (address, stride) of the arguments, in order, in bytes from group to
-                group; a stride of 0 is for an argument that all groups share.
-            results: The same of the results.
-        """
-        for group in range(n_groups):
-            for place, (address, stride) in enumerate(arguments):
-                self._arguments[place] = address + group * stride
-            for place, (address, stride) in enumerate(results):
-                self._results[place] = address + group * stride
-            self._library.block(self._arguments, self._results, self._integers, self._reals, 0)
-
-
-def scan(block, memories, streams, settings):
-    """Scan the block over at most as many runs as lanes, as `scan.scan` does for one run.
-
-    Args:
-        block: The block that `load` returned.
-        memories: Initial memory of each run, a vector.
-        streams: Inputs of each run, (samples, inputs); the numbers of samples may differ.
-        settings: {name: array} of each run.
-
-    Returns:
-        The rows of each run, (samples, outputs).
-    """
-    # Idle lanes repeat the last run.
-    n_idle = block.lanes - len(memories)
-    memories = [*memories, *memories[-1:] * n_idle]
-    settings = [*settings, *settings[-1:] * n_idle]
-    padded_streams = [*streams, *streams[-1:] * n_idle]
-    with block.lock:
-        _set_settings(block, settings)
-        rows = _scan(block, memories, padded_streams)
-        # The copy (lanes, outputs, samples) makes the columns of a run contiguous.
-        by_lane = np.ascontiguousarray(rows.T)
-    return [lane[:, : len(stream)].T for lane, stream in zip(by_lane, streams)]
-
-
-def _set_settings(block, settings):
-    """Set the settings of all lanes; unchanged values are not copied again."""
-    _, _, *names = block.sizes
-    for place, name in enumerate(names, 2):
-        values = [run_settings[name] for run_settings in settings]
-        last = block.last_settings.get(name)
-        if last is not None and all(map(operator.is_, values, last)):
-            continue
-        block.last_settings[name] = values
-        # An array that several lanes share is flattened once, so that `interleave` recognises it.
-        flat = {id(value): np.ravel(value, order="F") for value in values}
-        flat_values = [flat[id(value)] for value in values]
-        block.set_argument(place, block.interleave(name, flat_values, block.sizes[name]))
-
-
-def _scan(block, memories, streams):
-    """Return the rows of all lanes, (samples, outputs, lanes), in an array of the block."""
-    memory_name, *_ = block.sizes
-    n_rows, length = block.shapes["rows"]
-    n_samples = max(map(len, streams))
-    n_blocks = -(-n_samples // length)  # rounded up: the last block may be partly unused
-    n_samples = n_blocks * length
-    memory = block.interleave("first memory", memories, block.sizes[memory_name])
-    stream = block.interleave("all streams", streams, n_samples, streams[0].shape[1])
-    next_memory = block.array("next memory", len(memory))
-    rows = block.array("all rows", n_samples, n_rows)
-    # Addresses are faster than a new array for each block.
-    memory_at = memory.ctypes.data
-    next_memory_at = next_memory.ctypes.data
-    for first_sample in range(0, n_samples, length):
-        stream_at = stream.ctypes.data + first_sample * stream.strides[0]
-        rows_at = rows.ctypes.data + first_sample * rows.strides[0]
-        block.call(memory_at, stream_at, next_memory_at, rows_at)
-        memory_at, next_memory_at = next_memory_at, memory_at
-    return rows
+    def evaluate(self, arguments, results):
+        """As `Program.evaluate`."""
+        given = [(self._arguments, place, arguments[name]) for place, name in enumerate(self.sizes)]
+        given += [(self._results, place, results[name]) for place, name in enumerate(self.shapes)]
+        moving = []
+        with self.lock:
+            for pointers, place, array in given:
+                pointers[place] = array.ctypes.data
+                if len(array) > 1:  # addresses are faster than a new array for each call
+                    moving.append((pointers, place, pointers[place], array.strides[0]))
+            for call in range(len(results["memory"])):
+                for pointers, place, address, stride in moving:
+                    pointers[place] = address + call * stride
+                self._library.block(self._arguments, self._results, self._integers, self._reals, 0)

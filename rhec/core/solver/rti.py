@@ -13,17 +13,11 @@ measurement and the command. Iterating linearise, feedback and expand without sh
 solution of the nonlinear problem.
 """
 
-from collections.abc import Callable
-from functools import partial
-from inspect import signature
-from typing import Any, ClassVar, Self
-
 import numpy as np
 
 from rhec.core._casadi.build import select_inputs
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
-from rhec.core.model.base import Model
 
 PHASES = ("shift", "linearise", "feedback", "expand")
 IMPROVE = "improve"  # optional: one iteration without shift, whose step may be shortened
@@ -159,18 +153,6 @@ class RealTimeLoop:
     """What RHE and RHC objects share; subclasses set `iteration` and `_inputs`, views by name."""
 
     iteration: RealTimeIteration
-    # Returns the class that stands in where no model is passed; `rhec` sets it on RHE and RHC.
-    paper_class: ClassVar[Callable[[], type] | None] = None
-
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> Self:
-        """Without a model, make an object of the class that stands in."""
-        paper_class = vars(cls).get("paper_class")  # not of subclasses, which have their options
-        if model is None and paper_class:
-            cls = paper_class()
-        return super().__new__(cls)
-
-    def __init_subclass__(cls) -> None:
-        cls.__signature__ = signature(partial(cls.__init__, None))  # what help() and editors show
 
     def prepare(self) -> None:
         """Do all work that is possible before the next sample (paper: preparation part)."""

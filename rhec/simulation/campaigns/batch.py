@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rhec import paper
+from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
@@ -29,6 +30,9 @@ _TASK_IN_LANES = 400_000
 _SEEDS_TOGETHER = 8
 # Largest number of samples of all lanes; longer runs are simulated one by one to limit the memory.
 _MAX_SAMPLES_IN_MEMORY = 200_000
+# What `closed_loop.set_up` raises for a scenario that cannot be run, such as one with too large a
+# field. `rhec.simulate` raises it again and is asked for the reason. All else is an error of ours.
+_NO_SETUP = ValueError, MemoryError
 
 
 def _all_but_seed(scenario):
@@ -116,8 +120,8 @@ def one_per_structure(scenarios, mean_samples):
 
 
 def compile_lanes(scenario):
-    """Compile the lanes of a scenario's loop; errors are left to the run, which reports them."""
-    with contextlib.suppress(Exception):
+    """Compile the lanes of a scenario's loop; one that cannot be set up is left to its run."""
+    with contextlib.suppress(*_NO_SETUP):
         lanes.load(closed_loop.build_sample, *closed_loop.set_up(scenario).structure)
 
 
@@ -130,7 +134,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
         result_of: Function of a Run that returns the result.
 
     Returns:
-        {key: result_of(run)}, without scenarios that fail. `rhec.simulate` raises their
+        {key: result_of(run)}, without scenarios that cannot be set up; `rhec.simulate` raises their
         error.
     """
     blocks = {}
@@ -142,24 +146,24 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
     noise = cached(closed_loop.noise_and_faults)
     soil_settings = cached(terrain.settings)
     for key, scenario in scenarios.items():
-        with contextlib.suppress(Exception):
-            family = _all_but_seed(scenario)
-            setup = _set_up(scenario, setups.get(family), soil_settings)
-            setups[family] = setup
-            if setup.structure not in blocks:
-                blocks[setup.structure] = _load_block(setup.structure, mean_samples)
-            block = blocks[setup.structure]
-            samples = count_samples(scenario)
-            if not block or samples * block.lanes > _MAX_SAMPLES_IN_MEMORY:
-                continue
-            group = groups.setdefault((setup.structure, samples), {})
-            group[key] = scenario, setup
-            if len(group) == block.lanes:
-                del groups[setup.structure, samples]
-                results |= _run_group(block, group, noise, result_of)
+        family = _all_but_seed(scenario)
+        try:
+            setup = setups[family] = _set_up(scenario, setups.get(family), soil_settings)
+        except _NO_SETUP:
+            continue
+        if setup.structure not in blocks:
+            blocks[setup.structure] = _load_block(setup.structure, mean_samples)
+        block = blocks[setup.structure]
+        samples = count_samples(scenario)
+        if not block or samples * block.lanes > _MAX_SAMPLES_IN_MEMORY:
+            continue
+        group = groups.setdefault((setup.structure, samples), {})
+        group[key] = scenario, setup
+        if len(group) == block.lanes:
+            del groups[setup.structure, samples]
+            results |= _run_group(block, group, noise, result_of)
     for structure, group in _merged(groups, blocks):
-        with contextlib.suppress(Exception):
-            results |= _run_group(blocks[structure], group, noise, result_of)
+        results |= _run_group(blocks[structure], group, noise, result_of)
     return results
 
 
@@ -240,6 +244,6 @@ def _run_group(block, group, noise, result_of):
     ]
     memories = [setup.memory for setup in setups]
     settings = [setup.settings for setup in setups]
-    rows = lanes.scan(block, memories, streams, settings)
+    rows = runner.run(block, memories, streams, settings)
     runs = closed_loop.finish_all(scenarios, setups, rows)
     return {key: result_of(run) for key, run in zip(group, runs)}

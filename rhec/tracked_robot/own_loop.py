@@ -1,26 +1,28 @@
-"""The paper's RHE and RHC as objects, for a control loop that a user writes."""
+"""The paper's RHE and RHC as objects, for a control loop that a user writes.
 
-from typing import Any, ClassVar, NamedTuple
+They are those of any Model, in the words of the paper. `rhec.RHE` and `rhec.RHC` make them.
+"""
+
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rhec import paper
-from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core.controller import rhc
 from rhec.core.controller.options import Problem
 from rhec.core.estimator import rhe
-from rhec.core.solver.rti import RealTimeIteration
-from rhec.tracked_robot import estimators, options, tuning
+from rhec.core.estimator.base import with_deviations
+from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.rhc import horizon_of
-from rhec.tracked_robot.rhe import SIGMA_START, settings_of, window_of
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
 from rhec.tracked_robot.sensors import OUTPUTS
 from rhec.tracked_robot.speed_models import speed_model_of
 
 
-class PaperEstimate(NamedTuple):
+class Estimate(NamedTuple):
     """Pose [m, m, rad], speed [m/s], traction, and the covariance of the joint state.
 
     The joint state is (x, y, θ, ν, μ, κ), without ν where that is an input. With tracks that slip
@@ -48,36 +50,26 @@ class PaperEstimate(NamedTuple):
 
     def __repr__(self):
         sigma = np.sqrt(np.diag(self.covariance))
-        sigma_nu = sigma[3:4] if len(sigma) == 6 else ()  # otherwise ν is an input
-        parts = []
-        for name, value, deviation, unit in (
-            ("x", self.x, sigma[:1], " m"),
-            ("y", self.y, sigma[1:2], " m"),
-            ("theta", self.theta, sigma[2:3], " rad"),
-            ("nu", self.nu, sigma_nu, " m/s"),
-            ("mu", self.mu, sigma[-2:-1], ""),
-            ("kappa", self.kappa, sigma[-1:], ""),
-        ):
-            tolerance = "".join(f" ± {number:.2g}" for number in deviation)
-            parts.append(f"{name} = {value:.4g}{tolerance}{unit}")
-        return f"{type(self).__name__}({', '.join(parts)})"
+        sigma_nu = sigma[3] if len(sigma) == 6 else np.nan  # otherwise ν is an input
+        return with_deviations(QUANTITIES, self[:6], [*sigma[:3], sigma_nu, *sigma[-2:]])
 
 
-class PaperRHE(rhe.RHE):
+class RHE(rhe.RHE):
     """The paper's estimator for a user's control loop: `prepare()`, then `feedback(z)`, eq. (10).
 
     A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8), then those of the sensors: the
-    yaw rate of the gyro, as a mean over the sample [rad/s], and the heading [rad].
+    yaw rate of the gyro, as a mean over the sample [rad/s], and the heading [rad]. `feedback`
+    returns an Estimate. `solve` takes full steps, all of them.
 
     Args:
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        process_noise: "printed", "calibrated" or "consistent", see Scenario.
+        process_noise: W by name, see Scenario.
         sigma_w: Standard deviations of the process noise; None: those of `process_noise`.
         sigma_v: Standard deviations of z; None: those of `process_noise`.
         speed_model: "parameter", "input" or "slipping", see Scenario.
         slip: How tracks slip, for the speed model "slipping", see Scenario.
-        arrival_mean: "smoothed" or "filtered"; None: that of `process_noise`.
+        arrival_mean: "filtered" or "smoothed", see Scenario.
         sensors: What the robot has besides GNSS and encoders: ("gyro",), ("heading",) or both.
         sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
         sigma_heading: Standard deviation of the heading [rad].
@@ -86,7 +78,7 @@ class PaperRHE(rhe.RHE):
             0 and no slip, with a standard deviation of the yaw of a right angle.
 
     Raises:
-        ValueError: if an argument is invalid.
+        ValueError: If an argument is invalid.
     """
 
     @valid.checked
@@ -100,7 +92,7 @@ class PaperRHE(rhe.RHE):
         sigma_v: options.SigmaV | None = None,
         speed_model: options.SpeedModel = "parameter",
         slip: options.Slip | None = None,
-        arrival_mean: rhe.ArrivalMean | None = None,
+        arrival_mean: rhe.ArrivalMean = "filtered",
         sensors: options.Sensors = (),
         sigma_gyro: options.SigmaGyro | None = None,
         sigma_heading: valid.Positive | None = None,
@@ -112,39 +104,16 @@ class PaperRHE(rhe.RHE):
         if sigma_w is not None and len(sigma_w) != n_w:
             expected = f"with speed_model {speed_model!r} it should have {n_w} entries"
             raise ValueError(f"sigma_w was {sigma_w!r}; {expected}")
-        arrival_mean = arrival_mean or tuning.ARRIVAL_MEAN[process_noise]
-        sigma_v = sigma_v or tuning.SIGMA_V[process_noise]
-        sensors = tuple(name for name in OUTPUTS if name in sensors)
-        self._choice = Choice("rhe", horizon, speed_model, arrival_mean, dt, sensors=sensors)
-        self._estimator = estimators.estimator_of("rhe")
+        # By the names of a Scenario's fields.
+        noise = dict(process_noise=process_noise, sigma_w=sigma_w, sigma_v=sigma_v, slip=slip)
+        of_sensors = dict(sigma_gyro=sigma_gyro, sigma_heading=sigma_heading)
+        of_sensors |= dict(sensors=tuple(name for name in OUTPUTS if name in sensors))
+        structure = dict(estimator="rhe", estimation_horizon=horizon, speed_model=speed_model)
+        structure |= dict(arrival_mean=arrival_mean, track_width_m=track_width_m)
+        given = SimpleNamespace(**noise, **of_sensors, **structure)
+        window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
-        self._tuning = process_noise
-        self.window = window_of(self._choice)
-        self.model = self.window.model
-        constants = dict(track_width_m=track_width_m, dt_s=dt)
-        constants |= tuning.gyro_constants(sensors, sigma_gyro)
-        sigma_v = (*sigma_v, *tuning.sigma_of_sensors(sensors, sigma_gyro, sigma_heading))
-        noise = (process_noise, sigma_w, sigma_v, slip, sensors)
-        self.settings = settings_of(speed_model, *noise, **constants)
-        functions = compiled.load(estimators.build_phases, self._choice)
-        memory = self._estimator.init(self._choice, dict.fromkeys(QUANTITIES, 0.0))
-        self.iteration = RealTimeIteration(functions, memory, rhe.UNKNOWNS, **self.settings)
-        arrays = self.iteration.arrays
-        n_s = self.model.n_s
-        self._inputs = dict(z=arrays["z_N"])
-        # Views of the result, made once: reshaping takes longer than the QP of the feedback.
-        self._result = (arrays["estimate"], arrays["covariance"].reshape(n_s, n_s))
-
-    def __repr__(self):
-        sigmas = {name: np.array2string(np.sqrt(self.settings[name])) for name in "VW"}
-        choice = self._choice
-        return (
-            f"{type(self).__name__}: {self.window.N} intervals of {self.window.dt_s:g} s, "
-            f"speed model {choice.speed_model}, arrival mean {choice.arrival_mean}\n"
-            f"  process noise {self._tuning}: sigma of ({', '.join(self.model.joint_names)}) "
-            f"{sigmas['W']}\n"
-            f"  measurements: sigma of ({', '.join(self.model.outputs)}) {sigmas['V']}"
-        )
+        self._load(rhe.build_phases, window, settings_of(given, dt))
 
     def _start(self):
         z = self._inputs["z"]
@@ -153,21 +122,21 @@ class PaperRHE(rhe.RHE):
         sigma = SIGMA_START
         if guess is None:
             x, y, nu = np.where(plausible, z, 0.0)[:3]
-            heading = z[-1] if "heading" in self._choice.sensors and plausible[-1] else 0.0
-            guess = (x, y, heading, nu, 1.0, 1.0)
+            has_heading = OUTPUTS["heading"] in self.model.outputs and plausible[-1]
+            guess = (x, y, z[-1] if has_heading else 0.0, nu, 1.0, 1.0)
             # One measurement says nothing of the yaw, unless it is a heading, which follows.
             sigma = sigma | dict(theta_rad=np.pi / 2)
-        memory = self._estimator.init(self._choice, dict(zip(QUANTITIES, guess)), sigma)
+        memory = init(self.window, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))
         # Without a position there is no first guess: start again with the next measurement.
         self.iteration.started = self._guess is not None or bool(plausible[:2].all())
 
     def _estimate(self):
-        estimate, covariance = self._result
-        return PaperEstimate(*estimate.tolist(), covariance.copy())
+        values, covariance = self._result
+        return Estimate(*values.tolist(), covariance.copy())
 
 
-class PaperRHC(rhc.RHC):
+class RHC(rhc.RHC):
     """The paper's controller for a user's control loop: `prepare()`, then `feedback(…)`, eq. (12).
 
     Args:
@@ -177,12 +146,11 @@ class PaperRHC(rhc.RHC):
         omega_max: Bound on ω [rad/s], eq. (16).
         dt: Length of a sample [s].
         horizon: Intervals of the prediction.
+        qp: What solves the QP, see `rhec.core.controller.horizon.Horizon`; None: by its stages.
 
     Raises:
-        ValueError: if an argument is invalid.
+        ValueError: If an argument is invalid.
     """
-
-    qp: ClassVar[Any] = None  # of a subclass: the QP's solver, see `Horizon.qp`
 
     @valid.checked
     def __init__(
@@ -194,16 +162,27 @@ class PaperRHC(rhc.RHC):
         omega_max: valid.Positive = paper.OMEGA_MAX_RADPS,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
+        qp: Any = None,
     ):
-        problem = horizon_of(horizon, dt_s=dt)._replace(qp=self.qp)
-        Q = np.array(q)
-        settings = dict(Q=Q, QN=qn_factor * Q, R=np.array([r]))
-        settings |= dict(lower=np.array([-omega_max]), upper=np.array([omega_max]))
-        self._compile(Problem(problem, problem, settings))
+        self._qp = qp
+        model = SPEED_MODELS["parameter"].model
+        bounds = dict(omega_radps=(-omega_max, omega_max))
+        weights = dict(q=q, r=(r,), qn_factor=qn_factor)
+        super().__init__(
+            model=model, command=("omega_radps",), bounds=bounds, dt=dt, horizon=horizon, **weights
+        )
         pose, p, xi_ref, (omega_ref,) = self._inputs.values()
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
         # A memoryview returns a float faster than an array does.
         self._plan = memoryview(self.iteration.arrays["u_plan"])
+
+    def _problem_of(self, options):
+        problem = super()._problem_of(options)
+        if problem.structure is not problem.plain:
+            return problem
+        # The paper's iterations are full steps.
+        horizon = problem.plain._replace(damped=False, qp=self._qp)
+        return Problem(horizon, horizon, problem.settings)
 
     def feedback(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any) -> float:
         """Yaw rate [rad/s] to command, by one Gauss-Newton step, eq. (13).
@@ -222,7 +201,7 @@ class PaperRHC(rhc.RHC):
         return self._plan[0]
 
     def solve(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, iterations: int = 20) -> float:
-        """Iterate to convergence on the nonlinear problem.
+        """Iterate to convergence on the nonlinear problem, by full steps, all of them.
 
         Args:
             pose: (3,) estimated (x, y, θ).
@@ -241,7 +220,7 @@ class PaperRHC(rhc.RHC):
     @property
     def omega_plan(self) -> np.ndarray:
         """Planned yaw rates (N,) [rad/s]."""
-        return self.iteration.arrays["u_plan"].copy()
+        return self.u_plan[0]
 
     @property
     def xi_plan(self) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""Every notebook by papermill with small parameters, and what its tables say then.
+
+Few fields estimate the same quantities as many. Each value of a small run is therefore compared
+with the committed one of the full run: the intervals of both, widened threefold, must overlap.
+Outputs stay in build/smoke/, of which the continuous integration makes a site.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[2]
+OUTPUT = ROOT / "build/smoke"
+FIGURES = OUTPUT / "figures"
+# Columns of text that depend on the number of fields, or on the sentences of a verdict.
+_NO_KEYS = ("verdict", "claim", "machine")
+_WIDENED = 3.0
+
+
+class Small(NamedTuple):
+    """Parameters with which a notebook takes seconds, and the tables that it leaves."""
+
+    parameters: dict
+    tables: tuple = ()
+
+
+NOTEBOOKS = {
+    "06_claims": Small(
+        dict(first=40, seeds=40, posterior=10, world_fields=3), ("claims", "claims_coverage")
+    ),
+    "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
+    "08_interpretations": Small(
+        dict(seeds=2, paired_seeds=4, training_seeds=1), ("audit_interpretations",)
+    ),
+    "further/faults": Small(dict(seeds=2), ("table_faults",)),
+    "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
+    "further/traction_worth": Small(
+        dict(first=8, seeds=16, curve_seeds=4, consistency_runs=10),
+        ("table_traction_worth", "table_consistency"),
+    ),
+    "further/tolerance": Small(dict(default_fields=4, fields=4), ("table_tolerance",)),
+    "01_tutorial": Small(dict(seeds=2)),
+    "04_scenario_b": Small(dict(seeds=8, fields=8), ("table_scenario_b",)),
+    "03_scenario_a": Small(dict(seeds=8), ("table_scenario_a",)),
+    "07_which_worlds": Small(
+        dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")
+    ),
+    "further/c_code": Small(dict(samples=10), ("table_embedded_sizes",)),
+    "further/your_robot": Small(dict(duration_s=20), ("table_your_robot",)),
+    "00_start": Small(dict(seed=1)),
+    "05_computation_times": Small(dict(duration_s=20), ("table1_computation_times",)),
+    "02_equations": Small(dict(intervals=8)),
+}
+
+
+def test_every_notebook_is_here():
+    found = [path.relative_to(ROOT / "notebooks") for path in ROOT.glob("notebooks/**/*.ipynb")]
+    ours = [path for path in found if ".ipynb_checkpoints" not in path.parts]
+    assert sorted(NOTEBOOKS) == sorted(str(path.with_suffix("")) for path in ours)
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_small_run_says_what_the_full_one_does(name):
+    small = NOTEBOOKS[name]
+    command = [sys.executable, "-m", "notebooks.run", f"notebooks/{name}.ipynb"]
+    for parameter, value in small.parameters.items():
+        command += ["-p", parameter, str(value)]
+    command += ["--output", str(OUTPUT / f"{name}.ipynb")]
+    environment = os.environ | dict(RHEC_FIGURES=str(FIGURES), PYTHONPATH=str(ROOT))
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for table in small.tables:
+        check(table)
+
+
+def check(table):
+    """Compare a table of a small run with the committed one, if git holds it."""
+    ours = pd.read_csv(FIGURES / f"{table}.csv")
+    assert len(ours)
+    committed = ROOT / f"data/results/{table}.csv"
+    if not committed.exists():
+        numbers = ours.select_dtypes("number")
+        assert np.isfinite(numbers.to_numpy()).all()
+        return
+    full = pd.read_csv(committed)
+    assert list(ours) == list(full)
+    texts = full.select_dtypes(exclude=["number", "bool"])
+    keys = ["id"] if "id" in full else [name for name in texts if name not in _NO_KEYS]
+    for frame in (full, ours):
+        frame[keys] = frame[keys].fillna("")
+    both = full.merge(ours, on=keys, suffixes=("_full", "_small"), how="inner")
+    assert len(both) >= 0.8 * len(ours)
+    value = next((name for name in ("mean", "value", "median") if name in full), None)
+    if value is None or "low" not in full:
+        return
+    gap = (both[f"{value}_small"] - both[f"{value}_full"]).abs()
+    reach = sum(
+        (both[f"high_{run}"] - both[f"low_{run}"]).fillna(np.inf) / 2 for run in ("small", "full")
+    )
+    off = both[gap > _WIDENED * reach + 1e-9]
+    assert off.empty, off[keys + [f"{value}_small", f"{value}_full"]].to_string()
