@@ -14,7 +14,7 @@ from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.simulation.columns import MEASUREMENTS
 
 DRIVES = 4
-NIGHTLY_DRIVES = 40
+NIGHTLY_DRIVES = 24
 SAMPLE = [case for i, case in enumerate(table.cases()) if i % 29 == 0]
 
 

@@ -45,8 +45,8 @@ from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible, is_valid_m
 class Tuned(NamedTuple):
     """The numbers that were chosen, not derived.
 
-    tests/core/test_guards.py judges them, on drives 0 to 39 of five robots; chosen they were on
-    drives 0 to 23 of the same table.
+    They were chosen on drives 0 to 39 of the table in tests/guard_table.py, and not judged on
+    others; its nightly test has drives 0 to 23.
     """
 
     # name: value  # [unit] meaning
