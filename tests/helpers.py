@@ -110,9 +110,9 @@ SIMPLE_WORLD = dict(
 )
 
 
-def choice_of(name, horizon, speed_model="parameter", arrival_mean="smoothed", robust=False):
+def choice_of(name, horizon, speed_model="parameter", arrival_mean="smoothed"):
     """The Choice of an estimator of the paper's robot."""
-    return Choice(name, horizon, speed_model, arrival_mean, robust)
+    return Choice(name, horizon, speed_model, arrival_mean)
 
 
 def own_controller(scenario, gain=4.0):

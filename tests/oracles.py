@@ -131,7 +131,12 @@ def iterate(phases, memory, newest, settings, iterations):
     """
     tolerances = []
     for _ in range(iterations):
-        given = dict(P_0=np.ones(flat(memory["m"]).size)) | dict(memory) | settings | newest
+        given = (
+            dict.fromkeys(("m_0", "P_0"), np.ones(flat(memory["m"]).size))
+            | dict(memory)
+            | settings
+            | newest
+        )
         for name in ("linearise", "feedback", "expand"):
             phase = phases[name]
             result = phase(**{key: given[key] for key in phase.name_in()})

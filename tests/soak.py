@@ -210,9 +210,6 @@ def main():
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--robust", action=argparse.BooleanOptionalAction, default=True, help="see Scenario"
-    )
-    parser.add_argument(
         "--state",
         type=Path,
         help="a file to resume from, if it is there, and to save the last state in",
@@ -220,7 +217,7 @@ def main():
     options = parser.parse_args()
     if options.samples < 1:
         parser.error(f"--samples was {options.samples}; it should be at least 1")
-    base = Scenario(robust=options.robust)
+    base = Scenario()
     resumed = options.state and options.state.exists()
     state = load(options.state, base) if resumed else init(base, options.seed)
     began, first, memory_mb = time.monotonic(), state["done"], []

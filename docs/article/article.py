@@ -67,12 +67,12 @@ def _worth():
 
 
 def _faults():
-    """Cases of faults without and with robust handling."""
+    """Cases of faults with the RHE and with the EKF."""
     cases = pd.read_csv(answer.RESULTS / "table_faults.csv")
     cases["recovered"] = cases["back"] == cases["n"]
     cases["within the aim"] = cases["verdict"] == "holds"
-    by_handling = cases.groupby("handling")
-    counts = by_handling[["recovered", "within the aim"]].sum().assign(cases=by_handling.size())
+    by_estimator = cases.groupby("estimator")
+    counts = by_estimator[["recovered", "within the aim"]].sum().assign(cases=by_estimator.size())
     return counts.reset_index().astype(str)
 
 

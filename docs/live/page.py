@@ -63,7 +63,7 @@ STRUCTURES = {
     "ekf": dict(estimator="ekf"),
     "yaw_drift": dict(estimator="yaw_drift_ekf"),
     "rhe_faulty": dict(faults=_ANY_FAULT),
-    "rhe_robust": dict(faults=_ANY_FAULT, robust=True),
+    "ekf_faulty": dict(estimator="ekf", faults=_ANY_FAULT),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))

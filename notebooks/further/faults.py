@@ -29,9 +29,9 @@ __all__ = [
     "cases_of",
     "fault_table",
     "interval_s",
-    "off_and_on",
     "readable_fault_table",
     "response",
+    "rhe_and_ekf",
     "scenario",
     "study",
     "verdict_counts",
@@ -112,7 +112,7 @@ CASES = {
 }
 
 
-# Cases that differ most between robust handling off and on, or that no handling can mend.
+# Cases that differ most between the estimators, or that none of them can mend.
 HARD = (
     ("encoders", "left dead"),
     ("outage", "30 s"),
@@ -123,7 +123,7 @@ HARD = (
     ("start", "yaw 180° wrong"),
     ("patch", "forward"),
 )
-_HANDLING = {"off": {}, "on": {"robust": True}}
+_ESTIMATORS = {"RHE": {}, "EKF": {"estimator": "ekf"}}
 _ORACLE = {"oracle": {"estimator": "oracle"}}
 # No estimator can do better than the oracle in these families.
 _WITH_ORACLE = ("start", "patch")
@@ -196,25 +196,27 @@ def _errors_around(run, begin_s, end_s):
     return np.pad(errors, (max(-first, 0), 0), constant_values=np.nan)
 
 
-def study(base, seeds, handling, cases=CASES):
-    """All cases on these seeds, with every way of handling them, {name: fields of Scenario}.
+def study(base, seeds, estimators, cases=CASES):
+    """All cases on these seeds with each of the estimators, {name: fields of Scenario}.
 
-    The DataFrame has one row a run: family, case, handling, seed, begin_s, end_s and the
-    `response`. Beside it are the true errors over time, {(family, case, handling): (seeds,
+    The DataFrame has one row a run: family, case, estimator, seed, begin_s, end_s and the
+    `response`. Beside it are the true errors over time, {(family, case, estimator): (seeds,
     samples)}, from BEFORE_S before the fault to AFTER_S after it, NaN beyond.
     """
     rows = []
     errors = {}
     # The same fault begins elsewhere on the lap for every seed.
     begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
-    every = [(family, name, how) for family in cases for name in cases[family] for how in handling]
+    every = [
+        (family, name, how) for family in cases for name in cases[family] for how in estimators
+    ]
     for family, name, how in every:
         case = cases[family][name]
         curves = []
         for seed, begin_s in zip(seeds, begins_s):
-            run = simulate(scenario(case, begin_s, replace(base, seed=seed, **handling[how])))
+            run = simulate(scenario(case, begin_s, replace(base, seed=seed, **estimators[how])))
             begin_s, end_s = interval_s(run, case, begin_s)
-            about = dict(family=family, case=name, handling=how, seed=seed)
+            about = dict(family=family, case=name, estimator=how, seed=seed)
             about |= dict(begin_s=begin_s, end_s=end_s)
             rows.append(about | response(run, begin_s, end_s))
             curves.append(_errors_around(run, begin_s, end_s))
@@ -229,8 +231,9 @@ def fault_table(table, aim_s=_AIM_S):
     recovered, have a mean, low, high and largest each. `back` and `in_bounds` count seeds.
     """
     rows = []
-    for (family, case, handling), runs in table.groupby(["family", "case", "handling"], sort=False):
-        row = dict(family=FAMILIES[family], case=case, handling=handling, n=len(runs))
+    by_case = table.groupby(["family", "case", "estimator"], sort=False)
+    for (family, case, estimator), runs in by_case:
+        row = dict(family=FAMILIES[family], case=case, estimator=estimator, n=len(runs))
         for name in ("max_during_m", "max_after_m", "recovery_s"):
             over = over_seeds(np.mean, runs[name])
             row |= {name: over.mean, f"{name}_low": over.low, f"{name}_high": over.high}
@@ -242,7 +245,7 @@ def fault_table(table, aim_s=_AIM_S):
 
 
 class FaultStudy(NamedTuple):
-    """All cases with robust handling off and on."""
+    """All cases with the RHE and with the EKF."""
 
     runs: pd.DataFrame  # of `study`
     errors: dict  # of `study`
@@ -250,23 +253,23 @@ class FaultStudy(NamedTuple):
     about: dict  # what made it, for the files
 
 
-def off_and_on(base, seeds):
+def rhe_and_ekf(base, seeds):
     """The FaultStudy of all cases, added to the Scenario base, on so many fields."""
-    runs, errors = study(base, range(seeds), _HANDLING)
+    runs, errors = study(base, range(seeds), _ESTIMATORS)
     oracle, _ = study(base, range(seeds), _ORACLE, {name: CASES[name] for name in _WITH_ORACLE})
-    about = dict(scenario=base, handling=_HANDLING, seeds=f"0 to {seeds - 1}")
+    about = dict(scenario=base, estimators=_ESTIMATORS, seeds=f"0 to {seeds - 1}")
     return FaultStudy(runs, errors, fault_table(pd.concat([runs, oracle])), about)
 
 
 def readable_fault_table(table):
-    """The table of `fault_table` for readers: one row a case, one column a handling and quantity.
+    """The table of `fault_table` for readers: one row a case, one column an estimator and quantity.
 
     Cells are means over seeds with 95 % intervals; the last columns count the seeds that recovered.
     """
     cases = table["family"] + ": " + table["case"]
     parts = []
     for name, quantity in _SHOWN.items():
-        part = pd.DataFrame(dict(measure=quantity, handling=table["handling"], quantity=cases))
+        part = pd.DataFrame(dict(measure=quantity, estimator=table["estimator"], quantity=cases))
         part["mean"] = table[name]
         part["low"] = table[f"{name}_low"]
         part["high"] = table[f"{name}_high"]
@@ -274,17 +277,17 @@ def readable_fault_table(table):
     shown = readable(pd.concat(parts))
     recovered = table["back"].astype(str) + " of " + table["n"].astype(str)
     counts = table.assign(quantity=cases, recovered=recovered)
-    counts = counts.pivot(index="quantity", columns="handling", values="recovered")
+    counts = counts.pivot(index="quantity", columns="estimator", values="recovered")
     counts = counts.add_prefix("recovered, ").fillna("")
     return shown.join(counts)
 
 
 def verdict_counts(table):
     """How many cases of `fault_table` have each verdict, and how many runs stay within bounds."""
-    verdicts = table.pivot_table("case", "handling", "verdict", aggfunc="count", fill_value=0)
-    by_handling = table.groupby("handling")
+    verdicts = table.pivot_table("case", "estimator", "verdict", aggfunc="count", fill_value=0)
+    by_estimator = table.groupby("estimator")
     return verdicts.assign(
         cases=verdicts.sum(axis=1),
-        runs=by_handling["n"].sum(),
-        in_bounds=by_handling["in_bounds"].sum(),
+        runs=by_estimator["n"].sum(),
+        in_bounds=by_estimator["in_bounds"].sum(),
     )

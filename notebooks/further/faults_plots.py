@@ -1,7 +1,7 @@
 """Sensor faults: an overview of all cases, and true errors over time.
 
-Robust handling "off" is the paper's estimator; "on" gates and weights innovations. In plots over
-time a narrow line ("on") lies on a broad one ("off"), so that equal results are visible.
+In plots over time a narrow line (the RHE) lies on a broad one (the EKF), so that equal results are
+visible.
 """
 
 import matplotlib.pyplot as plt
@@ -10,25 +10,24 @@ import numpy as np
 from notebooks.further.faults import FAMILIES
 from notebooks.plots.parts import BOUND, TOLERANCE, legend_outside, log_axis, note, seed_range
 from rhec import paper
-from rhec.style import BLUE, DOUBLE_IN, VERMILLION, styled
+from rhec.style import COLOURS, DOUBLE_IN, styled
 
-_COLOURS = {"off": VERMILLION, "on": BLUE}
-_WIDTHS = {"off": 2.0, "on": 0.8}
+_WIDTHS = {"EKF": 2.0, "RHE": 0.8}
 # Limits of the error axis.
 _LEAST_M = 0.01
 _MOST_M = 100.0
 _PANELS = 4  # panels in a row
 
 
-def _draw_errors(axes, error, handling, before_s):
+def _draw_errors(axes, error, estimator, before_s):
     """Draw median and largest error over seeds; return the times since the fault began [s]."""
     # The time before the fault differs between runs; the axis begins where one run has data.
     first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
     error = error[:, first:]
-    look = dict(color=_COLOURS[handling], linewidth=_WIDTHS[handling])
+    look = dict(color=COLOURS[estimator], linewidth=_WIDTHS[estimator])
     t_s = (first + np.arange(error.shape[1])) * paper.DT_S - before_s
-    axes.plot(t_s, np.nanmedian(error, axis=0), label=f"{handling}: median", **look)
-    axes.plot(t_s, np.nanmax(error, axis=0), ":", label=f"{handling}: largest", **look)
+    axes.plot(t_s, np.nanmedian(error, axis=0), label=f"{estimator}: median", **look)
+    axes.plot(t_s, np.nanmax(error, axis=0), ":", label=f"{estimator}: largest", **look)
     return t_s
 
 
@@ -48,12 +47,12 @@ def fault_courses(keys, table, errors, before_s):
     for axes, (family, case) in zip(grid.flat, keys):
         runs_of_case = table[(table["family"] == family) & (table["case"] == case)]
         lines = [_label(FAMILIES[family], case)]
-        for handling, runs in runs_of_case.groupby("handling", sort=False):
+        for estimator, runs in runs_of_case.groupby("estimator", sort=False):
             back = runs["recovery_s"].count()
             last_s = runs["recovery_s"].max()
             when = f", last in {last_s:.0f} s" if back else ""
-            lines.append(f"{handling}: {back} of {len(runs)} recover{when}")
-            t_s = _draw_errors(axes, errors[family, case, handling], handling, before_s)
+            lines.append(f"{estimator}: {back} of {len(runs)} recover{when}")
+            t_s = _draw_errors(axes, errors[family, case, estimator], estimator, before_s)
         duration_s = np.median(runs_of_case["end_s"] - runs_of_case["begin_s"])
         axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE, label="while it lasts")
         axes.axhline(paper.TOLERANCE_M, **BOUND, label=f"{paper.TOLERANCE_M} m")
@@ -68,7 +67,7 @@ def fault_courses(keys, table, errors, before_s):
     figure.supylabel(f"true error [m]{cut}", fontsize=8)
     for axes in grid[-1]:
         axes.set_xlabel("time since it began [s]")
-    figure.suptitle(f"robust handling off and on, {seed_range(table)}", fontsize=8)
+    figure.suptitle(seed_range(table), fontsize=8)
     legend_outside(figure, grid[0, 0], "lower center", 6)
     return figure
 
@@ -78,8 +77,8 @@ def fault_overview(table, n):
     """Draw the largest true error after the fault and the recovery time for all cases.
 
     Means over seeds have 95 % intervals; a ring marks the worst seed. At the right are the numbers
-    of the n seeds that recovered, without and with robust handling. The table has the rows of
-    `notebooks.further.faults.fault_table` with handling "off" and "on".
+    of the n seeds that recovered, with the RHE and with the EKF. The table has the rows of
+    `notebooks.further.faults.fault_table` of both.
     """
     cases = list(table.groupby(["family", "case"], sort=False))
     size = dict(figsize=(DOUBLE_IN, 1.1 + 0.135 * len(cases)), sharey=True)
@@ -87,8 +86,8 @@ def fault_overview(table, n):
     for axes, column in ((errors, "max_after_m"), (times, "recovery_s")):
         for place, (_, runs) in enumerate(cases):
             for row in runs.to_dict("records"):
-                colour = _COLOURS[row["handling"]]
-                at = place + (0.2, -0.2)[row["handling"] == "off"]
+                colour = COLOURS[row["estimator"]]
+                at = place + (0.2, -0.2)[row["estimator"] == "RHE"]
                 low = row[f"{column}_low"]
                 high = row[f"{column}_high"]
                 axes.plot([low, high], [at, at], color=colour, linewidth=1.2)
@@ -97,9 +96,9 @@ def fault_overview(table, n):
                 axes.plot(row[f"{column}_largest"], at, "o", markerfacecolor="none", **ring)
         axes.grid(axis="y", visible=False)
     for place, (_, runs) in enumerate(cases):
-        back = runs.set_index("handling")["back"]
+        back = runs.set_index("estimator")["back"]
         at = dict(xycoords=("axes fraction", "data"), fontsize=6)
-        note(times, f"{back['off']}, {back['on']}", (1, place), (3, 0), **at)
+        note(times, f"{back['RHE']}, {back['EKF']}", (1, place), (3, 0), **at)
         if place and cases[place - 1][0][0] != cases[place][0][0]:
             for axes in (errors, times):
                 axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
@@ -108,9 +107,9 @@ def fault_overview(table, n):
     errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=6)
     errors.set(ylim=(len(cases) - 0.4, -0.6))
     errors.set_xlabel(f"largest true error afterwards [m],\ndashed: {paper.TOLERANCE_M} m")
-    times.set_xlabel(f"time to recover [s]; right: how many\nof {n} seeds recovered, off and on")
-    for handling, colour in _COLOURS.items():
-        errors.plot([], [], "o-", color=colour, markersize=2.5, label=f"robust handling {handling}")
+    times.set_xlabel(f"time to recover [s]; right: how many\nof {n} seeds recovered, RHE and EKF")
+    for estimator in _WIDTHS:
+        errors.plot([], [], "o-", color=COLOURS[estimator], markersize=2.5, label=estimator)
     ring = dict(color="0.3", markersize=3.5, linestyle="none", markerfacecolor="none")
     errors.plot([], [], "o", label="worst seed", **ring)
     title = f"{n} seeds: mean, 95 % interval, worst seed"

@@ -112,14 +112,13 @@ def fault_cases(samples):
 
 
 def fault_scores(log, cases, seeds, **arguments):
-    """Scores of the RHE with each fault, with and without robust handling, on a few seeds."""
-    arguments.pop("robust", None)
+    """Scores of the RHE with each fault, on a few seeds."""
     return scores.fault_scores(log, cases, range(min(seeds, _MOST_FAULT_SEEDS)), **arguments)
 
 
 def fault_means(rows):
-    """Means of `fault_scores` over noise seeds, one row a fault and handling."""
-    groups = rows.groupby(["fault", "robust"], sort=False)
+    """Means of `fault_scores` over noise seeds, one row a fault."""
+    groups = rows.groupby("fault", sort=False)
     return groups[_FAULT_SCORES].mean().round(3)
 
 

@@ -216,7 +216,7 @@ def replay_trials(trials, table, title):
 
 @styled
 def replay_faults(table):
-    """Draw the largest position and yaw errors after each fault began, with and without handling.
+    """Draw the largest position and yaw errors after each fault began.
 
     Dots are noise seeds, bars their means.
     """
@@ -226,16 +226,11 @@ def replay_faults(table):
         (panels[0], "worst_position_m", "largest position error [m]"),
         (panels[1], "worst_yaw_rad", "largest yaw error [rad]"),
     ]:
-        for robust, handling, colour, shift in [
-            (False, "robust handling off", COLOURS["EKF"], -0.18),
-            (True, "robust handling on", COLOURS["RHE"], 0.18),
-        ]:
-            for place, name in enumerate(names):
-                values = table.loc[(table["fault"] == name) & (table["robust"] == robust), column]
-                places = np.full(len(values), place + shift)
-                axes.plot(values, places, **DOTS, markersize=2, alpha=0.5, color=colour)
-                bar = dict(markersize=8, color=colour, label=None if place else handling)
-                axes.plot(values.mean(), place + shift, "|", **bar)
+        for place, name in enumerate(names):
+            values = table.loc[table["fault"] == name, column]
+            look = dict(color=COLOURS["RHE"])
+            axes.plot(values, np.full(len(values), place), **DOTS, markersize=2, alpha=0.5, **look)
+            axes.plot(values.mean(), place, "|", markersize=8, **look)
         log_axis(axes.xaxis)
         axes.set_xlabel(f"{label}, logarithmic")
         axes.grid(axis="y", visible=False)
@@ -243,5 +238,4 @@ def replay_faults(table):
     panels[0].set_title(f"{seeds} noise seeds: a dot each, their mean a bar")
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)
-    legend_above(panels[1])
     return figure

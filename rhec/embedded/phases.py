@@ -16,6 +16,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
+from rhec.core.estimator.innovation_gate import patience
 from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
@@ -26,7 +27,6 @@ from rhec.tracked_robot import path
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
-from rhec.tracked_robot.position_check import most_rejected
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 from rhec.tracked_robot.sensors import OUTPUTS
@@ -117,7 +117,9 @@ def export(scenario):
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
         phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
-    macros = _macros_on_a_path(scenario, horizon.dt_s, "check" in estimate["shift"].name_in())
+    judged = "rejected" in estimate["shift"].name_in()
+    most = patience(choice.estimation_horizon) if judged else 0
+    macros = _macros_on_a_path(scenario, horizon.dt_s, most)
     return _export(phases, settings, setup.guess, macros)
 
 
@@ -126,11 +128,12 @@ def _measured(scenario):
     return (*MEASURED, *(OUTPUTS[name] for name in OUTPUTS if name in scenario.sensors))
 
 
-def _macros_on_a_path(scenario, dt_s, rejects):
-    """Return the macros of a scenario's export, of an estimator that rejects positions or not."""
+def _macros_on_a_path(scenario, dt_s, rejected):
+    """Return the macros of a scenario's export.
+
+    Its estimator restarts by itself once it has `rejected` so many samples, and that comes first.
+    """
     n = len(QUANTITIES)
-    # An estimator that has rejected this many restarts by itself, and that comes first.
-    rejected = most_rejected(dt_s) if rejects else 0
     measured = _measured(scenario)
     names = "x, y, theta, nu, mu, kappa"
     return dict(

@@ -13,7 +13,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import ROBUST_NAMES, estimator_of
+from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 _FIELDS = fields_of(Scenario)
@@ -110,7 +110,6 @@ GROUPS = {
         _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
         _selection("speed_model", "speed ν", _SPEEDS),
         _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
-        _selection("robust", "robust", _NO_YES),
         *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
     ),
     "Controller": (
@@ -224,7 +223,6 @@ def scenario_of(values, estimator, start):
         else:
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
-    settings["robust"] = settings["robust"] and estimator in ROBUST_NAMES
     settings["sensors"] = settings["sensors"] if estimator == "rhe" else ()
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
@@ -243,7 +241,7 @@ def scenario_of(values, estimator, start):
 def _sigma_w_for_estimator(settings):
     """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
     estimator = estimator_of(settings["estimator"])
-    choice = Choice(*(settings[name] for name in Choice._fields[:5]))
+    choice = Choice(*(settings[name] for name in Choice._fields[:4]))
     n = estimator.n_sigma_w(choice)
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))

@@ -290,7 +290,7 @@ def calibrate(
         delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks, as in `rhec.replay`.
         **arguments: With a model, those of `rhec.replay`: dt, sigma_v, sigma_w, guess, sigma_guess,
-            horizon, arrival_mean, robust. Each sigma_v and sigma_w is the middle of its prior, by a
+            horizon, arrival_mean. Each sigma_v and sigma_w is the middle of its prior, by a
             factor of 3; where it is 0 it remains 0.
 
     Returns:

@@ -16,10 +16,10 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import kalman
 from rhec.core.estimator.base import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.estimator.innovation_gate import ROBUST
 from rhec.core.model import base
 
 OUTLIER = 1.5  # standard deviations from which on a position counts less
+_OUTLIERS = 1e-3  # share of good samples that count less by the logarithm
 
 
 def _correct_by_huber(m, P, z, V, outputs, s_bar):
@@ -47,7 +47,7 @@ def _correct_by_logarithm(m, P, z, V, outputs, s_bar):
     That is c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then
     1 + log r.
     """
-    limit = float(chi2.isf(ROBUST, max(len(outputs), 1)))
+    limit = float(chi2.isf(_OUTLIERS, max(len(outputs), 1)))
     plain = kalman.update(m, P, z, V, outputs, s_bar)
     far = plain.distance / limit
     loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))

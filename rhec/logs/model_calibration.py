@@ -30,7 +30,7 @@ from rhec.logs.recording import prepare_for, resample, with_ages
 
 _PRIOR = np.log(3.0)  # standard deviation of the logarithm of a standard deviation
 _NEEDED = ("dt", "sigma_v", "sigma_w", "guess", "sigma_guess")
-_PASSED_ON = ("horizon", "arrival_mean", "robust")
+_PASSED_ON = ("horizon", "arrival_mean")
 _LEAST_SAMPLES = 50  # with measurements
 
 

@@ -77,7 +77,6 @@ ESTIMATOR_FIELDS = (
     "speed_model",
     "slip",
     "arrival_mean",
-    "robust",
     "sensors",
     "sigma_gyro",
     "sigma_heading",
@@ -272,7 +271,6 @@ def build_replay(*choice):
         sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
         if further:
             window = window_of(choice)
-            # In the memory of a robust estimator, further entries follow those of the window.
             packed = outputs["memory"][: packed_size(window.memory)]
             newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
             estimate |= {name: value for name, value in zip(states, newest) if name in further}
@@ -670,7 +668,7 @@ def replay(
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
             a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
-            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean, robust.
+            sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
             and v_right_mps; speed_mps and yaw_rate_radps are not used.
         lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
@@ -689,7 +687,7 @@ def replay(
             of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
             smoothed as well.
         **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, robust, sensors, sigma_gyro, sigma_heading. The
+            speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
             with the motion. With "slipping" the estimator "rhe"
             uses the gyro and the heading of the log unless sensors says otherwise. Without a

@@ -69,11 +69,12 @@ _TABLE = (
     ("kkt_rhe", "", "KKT tolerance of the RHE (R12); NaN for other estimators", _BOTH),
     ("kkt_rhc", "", "KKT tolerance of the RHC (R12); 0 for a controller without one", _RUN),
     ("deviance", "", "-2 log likelihood of the measurement, up to a constant", _BOTH),
-    ("ok", "", "whether the QPs were solved (1), and the plain RHE rejected no position", _BOTH),
+    ("ok", "", "whether the QPs were solved (1), and the RHE rejected no position", _BOTH),
     (
         "position_accepted encoders_accepted",
         "",
-        "False where missing or rejected; encoders are rejected with `robust` only",
+        "False where missing or rejected; encoders are not judged, but an odd yaw rate is left out "
+        "beside a position that contradicts it",
         _BOTH,
     ),
     ("restarted", "", "whether the RHE restarted", _BOTH),
@@ -156,8 +157,8 @@ _UNSOLVED = """
 This happens where positions jump by much more than `sigma_v` allows and nothing rejects them. With
 100 m of GNSS noise it happens in 2 of 3,600 samples at a horizon of 15, and in 11 to 13 % at
 `prediction_horizon=240`. With 10 km it happens in 1 to 2 %, with 1,000 km in a quarter (seeds 0 to
-2, 240 s each). With `robust=True` all QPs were solved at 100 m. Sixteen times as many guesses solve
-all at 100 m, but not from 10 km on, and a sample may then take sixteen times as long.
+2, 240 s each). Sixteen times as many guesses solve all at 100 m, but not from 10 km on, and a
+sample may then take sixteen times as long.
 """
 _RECORDING_HEAD = """
 ## A recording: the log of a real robot, for `rhec.replay`

@@ -18,7 +18,7 @@ from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
 from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES, EstimatorName, estimator_of
+from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.path import Path, path_of
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
@@ -63,8 +63,6 @@ class Scenario:
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (R7)."""
-    robust: valid.Flag = False
-    """Whether measurements that contradict others get less weight; for "rhe"."""
     yaw_rate_interval: Literal["before", "after"] = "before"
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
@@ -243,13 +241,10 @@ def _check_deviation(scenario, name):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `robust`, `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
+    """Refuse `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
     # A user's Function has no name; any name that is not in NAMES stands for it.
     name = "own" if _is_users_own(estimator) else estimator
-    if scenario.robust and name not in ROBUST_NAMES:
-        expected = f"for the estimator {valid.shown(estimator)} it should be False"
-        raise ValueError(f"robust was True; {expected}")
     if scenario.sensors and name != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")

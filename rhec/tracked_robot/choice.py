@@ -41,7 +41,6 @@ class Choice(NamedTuple):
     estimation_horizon: int
     speed_model: str
     arrival_mean: str
-    robust: bool
     dt_s: float = paper.DT_S
     sensors: tuple[str, ...] = ()
 
@@ -63,7 +62,6 @@ class Choice(NamedTuple):
             scenario.estimation_horizon,
             scenario.speed_model,
             scenario.arrival_mean,
-            scenario.robust,
             sensors=scenario.sensors,
         )
 

@@ -24,7 +24,6 @@ EstimatorName = Literal[
     "drift_oracle",
 ]
 NAMES = get_args(EstimatorName)
-ROBUST_NAMES = ("rhe",)
 
 
 def _build_oracle(choice):

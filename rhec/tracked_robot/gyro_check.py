@@ -1,6 +1,6 @@
 """Whether a sample of a gyro is left out, by what it and the tracks say. Not in the paper.
 
-A replay leaves these samples out with each estimator, other loops with robust handling.
+A replay leaves these samples out with each estimator; other loops have no such check.
 
 - *Absurd*: a yaw rate far beyond that of the tracks.
 - *Stuck or dead*: the last measurement again, but for rounding. A gyro has noise.

@@ -69,7 +69,6 @@ class RHE(rhe.RHE):
         speed_model: "parameter", "input" or "slipping", see Scenario.
         slip: How tracks slip, for the speed model "slipping", see Scenario.
         arrival_mean: "filtered" or "smoothed", see Scenario.
-        robust: Whether contradictory measurements count less, see Scenario.
         sensors: What the robot has besides GNSS and encoders: ("gyro",), ("heading",) or both.
         sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
         sigma_heading: Standard deviation of the heading [rad].
@@ -93,7 +92,6 @@ class RHE(rhe.RHE):
         speed_model: options.SpeedModel = "parameter",
         slip: options.Slip | None = None,
         arrival_mean: rhe.ArrivalMean = "filtered",
-        robust: valid.Flag = False,
         sensors: options.Sensors = (),
         sigma_gyro: options.SigmaGyro | None = None,
         sigma_heading: valid.Positive | None = None,
@@ -110,7 +108,7 @@ class RHE(rhe.RHE):
         of_sensors = dict(sigma_gyro=sigma_gyro, sigma_heading=sigma_heading)
         of_sensors |= dict(sensors=tuple(name for name in OUTPUTS if name in sensors))
         structure = dict(estimator="rhe", estimation_horizon=horizon, speed_model=speed_model)
-        structure |= dict(arrival_mean=arrival_mean, robust=robust, track_width_m=track_width_m)
+        structure |= dict(arrival_mean=arrival_mean, track_width_m=track_width_m)
         given = SimpleNamespace(**noise, **of_sensors, **structure)
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess

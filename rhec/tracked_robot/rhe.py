@@ -5,12 +5,11 @@ import numpy as np
 
 from rhec import paper
 from rhec.core.estimator import rhe
+from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
-from rhec.tracked_robot.position_check import PositionCheck
-from rhec.tracked_robot.robust import RobustHandling
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
@@ -19,6 +18,13 @@ _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
 _SIGMA_INPUT = 10.0
+# Where a window restarts, the traction begins as if nothing slipped.
+_RESTART = dict(mu=1.0, kappa=1.0)
+
+# Only a position can be wild, and takes the estimate with it: encoders weigh little, and a robot
+# that stops must not be rejected.
+_POSITION = QUANTITIES[:2]
+JUDGE = InnovationGate(_POSITION, (*_POSITION, "nu_mps", "omega_radps"), doubts_model=False)
 
 # The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
 # measured almost exactly.
@@ -38,16 +44,16 @@ def window_of(choice):
     model = speed_model_of("parameter").model
     if choice.estimator == "rhe":
         model = speed_model_of(choice.speed_model, choice.sensors).model
-    return _window(model, choice, RobustHandling() if choice.robust else PositionCheck())
+    return _window(model, choice)
 
 
-def _window(model, choice, judge):
+def _window(model, choice):
     return rhe.Window(
         model,
         choice.dt_s,
         choice.estimation_horizon,
         choice.arrival_mean,
-        judge,
+        JUDGE,
         quantities=QUANTITIES,
     )
 
@@ -87,6 +93,7 @@ def settings_of(scenario, dt_s=paper.DT_S):
         V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),
         W=np.square(_sigma_w(scenario, kind, dt_s)),
         P_0=np.square(sigma_start(kind.model)),
+        m_0=np.array([_RESTART.get(name, 0.0) for name in kind.model.joint_names]),
     )
     if kind.model.motion_noise:
         constants = dict(kind.model.motion_noise.constants)
@@ -120,15 +127,14 @@ def build_phases(choice):
 
 
 def _window_held(choice):
-    return _window(_HELD, choice, PositionCheck())
+    return _window(_HELD, choice)
 
 
 def _build_held_step(choice):
-    """The RHE with the traction held, as a Function (memory, z_N, V, W, P_0, traction)."""
+    """The RHE with the traction held, as a Function (memory, z_N, V, W, m_0, P_0, traction)."""
     step = rhe.build_phases(_window_held(choice))["step"]
-    inputs = {
-        name: ca.MX.sym(name, step.sparsity_in(name)) for name in ("memory", "z_N", "V", "W", "P_0")
-    }
+    names = ("memory", "z_N", "V", "W", "m_0", "P_0")
+    inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
     inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
     # The traction is appended to the measurements.
     z_N = ca.vertcat(inputs["z_N"], inputs["traction"])
@@ -146,6 +152,7 @@ def _held(name, traction_input):
         settings=lambda scenario: dict(
             **tuning.variances_of(name, scenario),
             P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
+            m_0=np.zeros(_HELD.n_s),
         ),
         states=lambda choice: _HELD.joint_names,
         n_sigma_w=lambda choice: 4,

@@ -88,7 +88,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy
 def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart(virtual_machine):
     """A cart behind the wall: each estimate is finite and within its bounds; later it is right."""
     guess = np.zeros(3)
-    mhe = bounded(CART, guess, 5, robust=True)
+    mhe = bounded(CART, guess, 5)
     for k in range(120):
         mhe.prepare()
         found = mhe.feedback((1e5 if 10 <= k < 20 else 0.1, 0.0))

@@ -26,13 +26,13 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
+from rhec.core.estimator.innovation_gate import patience
 from rhec.embedded import LOG, phases
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
-from rhec.tracked_robot.position_check import most_rejected
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import horizon_of
 
@@ -75,9 +75,8 @@ SCENARIOS = {
             [(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5)
         ),
     ),
-    "robust": dict(
+    "faults": dict(
         speed_model="slipping",
-        robust=True,
         faults=(
             rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0),
             rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
@@ -89,9 +88,8 @@ SCENARIOS = {
         sensors=("gyro", "heading"),
         faults=(rhec.Fault(kind="missing", channel="gyro", start_s=8.0, duration_s=3.0),),
     ),
-    "gyro, robust": dict(
+    "gyro": dict(
         speed_model="slipping",
-        robust=True,
         sensors=("gyro",),
         faults=(rhec.Fault(kind="dead", channel="gyro", start_s=8.0, duration_s=3.0),),
     ),
@@ -247,7 +245,7 @@ def in_python(scenario, measurements):
 
 @pytest.mark.parametrize(
     "name, on",
-    [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("robust", "Arm")],
+    [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("faults", "Arm")],
 )
 def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, built):
     machine, objects = built(name, on)
@@ -267,7 +265,7 @@ def test_the_header_names_the_entries_of_a_measurement(exported):
     assert "#define RHEC_OUTPUTS 6 /* x, y, nu, omega, gyro_radps, heading_rad */" in header
     assert (
         "#define RHEC_OUTPUTS 5 /* x, y, nu, omega, gyro_radps */"
-        in (exported("gyro, robust") / "rhec_memory.h").read_text()
+        in (exported("gyro") / "rhec_memory.h").read_text()
     )
 
 
@@ -397,12 +395,12 @@ def test_positions_that_jump_are_not_used_until_one_has_to_be(exported, library)
     so many were not. When they no longer jump, the estimate returns to them.
     """
     robot, z = Robot(library, exported("paper")), log_of(exported("paper"))[MEASUREMENTS].to_numpy()
-    most = most_rejected(paper.DT_S)
+    most = patience(paper.HORIZON)
     for k, row in enumerate(np.tile(z[:30], (4, 1))):
         estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 80), 0, 0, 0])
         assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
         assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
-        if 10 <= k < 10 + most:
+        if 10 <= k < 9 + most:
             assert status & PREDICTED and np.abs(estimate[:2]).max() < 100
     assert np.abs(estimate[:2] - row[:2]).max() < 1
 
@@ -526,7 +524,7 @@ def test_flags_of_any_number_are_defined(exported, tmp_path):
     """By a cast to int, a flag above 2^31 would be undefined in C."""
     source = tmp_path / "flags.c"
     source.write_text(FLAGS_OF_BRANCHES)
-    folder = exported("robust")
+    folder = exported("faults")
     compiler = shutil.which("clang") or compiled.compiler()
     command = [compiler, "-std=c99", "-O0", f"-I{folder}", source, f"{folder}/rhec_scenario.c"]
     sanitizer = ["-fsanitize=float-cast-overflow", "-fno-sanitize-recover=all"]
@@ -542,9 +540,9 @@ def test_flags_of_any_number_are_defined(exported, tmp_path):
 @needs_compiler
 @needs_valgrind
 def test_valgrind_finds_nothing(exported, built, tmp_path):
-    machine, objects = built("robust", "this machine")
-    for name, argument in (("replay", exported("robust") / "log.csv"), ("fuzz", "100")):
-        program = toolchain.program(machine, exported("robust"), name, objects)
+    machine, objects = built("faults", "this machine")
+    for name, argument in (("replay", exported("faults") / "log.csv"), ("fuzz", "100")):
+        program = toolchain.program(machine, exported("faults"), name, objects)
         finished = subprocess.run(
             ["valgrind", "--error-exitcode=9", "--leak-check=full", program, str(argument)],
             capture_output=True,
@@ -556,14 +554,14 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
 @needs_compiler
 def test_answers_are_bounded_while_fuzzing(exported, built):
     """`fuzz` fails where an estimate is not finite or a command out of bounds."""
-    for name in ("paper", "robust", "EKF"):
+    for name in ("paper", "faults", "EKF"):
         machine, objects = built(name, "this machine")
         came_back = toolchain.nonsense(
             machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7
         ).iloc[0]
         lost, storms = came_back["still_lost"], came_back["storms"]
         assert came_back["samples"] >= 30_000 and lost < storms
-        assert lost == 0 if name == "robust" else True
+        assert lost == 0 if name == "faults" else True
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 

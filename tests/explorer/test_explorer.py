@@ -65,11 +65,10 @@ STARTS = [
     rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
     rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
     rhec.Scenario(
-        robust=True,
         faults=(
             rhec.Fault(kind="dead", channel="left", start_s=3.0),
             rhec.Fault(kind="latency", delay_s=0.4),
-        ),
+        )
     ),
 ]
 
@@ -114,9 +113,8 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
     )
 
 
-def test_robust_applies_to_estimators_with_gating():
-    values = controls.values_of(SHORT) | {"robust": True}
-    robust = {key for key in controls.ESTIMATORS if controls.scenario_of(values, key, SHORT).robust}
+def test_sensors_and_their_faults_apply_to_the_rhe():
+    values = controls.values_of(SHORT)
     dead = (rhec.Fault(kind="dead", channel="gyro"),)
     values |= dict(sensors=("gyro",), faults=dead)
     for key in controls.ESTIMATORS:
@@ -125,7 +123,6 @@ def test_robust_applies_to_estimators_with_gating():
             (("gyro",), dead) if key == "rhe" else ((), ())
         )
     assert controls.scenario_of(values | dict(sensors=()), "rhe", SHORT).faults == ()
-    assert robust == {"rhe"}
 
 
 def test_the_explorer_offers_every_estimator_it_can_draw(made):

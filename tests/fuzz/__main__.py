@@ -57,7 +57,7 @@ def bicycle():
     return estimator, controller
 
 
-EXPORTS = {"scenario": lambda: rhec.Scenario(robust=True), "model": bicycle}
+EXPORTS = {"scenario": lambda: rhec.Scenario(), "model": bicycle}
 
 
 def build(folder, libfuzzer=False):

@@ -167,7 +167,7 @@ def test_a_replay_says_whether_it_is_lost(turned):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         given = dict(first_yaw_rad=0.4 + turned, sigma_yaw_rad=0.01, smooth=False)
-        result = rhec.replay(log, **given, robust=False)  # robust, it turns round within metres
+        result = rhec.replay(log, **given)
     assert result["lost"].dtype == bool and result["lost"].any() == bool(turned)
     if turned:
         wrong = np.cos(result["theta_hat_rad"] - result["theta_rad"]) < 0
@@ -180,7 +180,7 @@ def test_a_replay_says_whether_it_is_lost(turned):
 def test_some_outliers_do_not_make_a_replay_lost():
     log = recorded_log(noise_m=0.02)
     log.loc[200:280:8, ["x_m", "y_m"]] += 2.0
-    assert not rhec.replay(log, first_yaw_rad=0.4, robust=True)["lost"].any()
+    assert not rhec.replay(log, first_yaw_rad=0.4)["lost"].any()
 
 
 def test_what_makes_it_lost_is_the_innovation_by_its_covariance():

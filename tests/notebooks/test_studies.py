@@ -37,24 +37,24 @@ def test_the_papers_estimators_have_the_noise_that_was_asked_for():
         rhec.Scenario(**arguments)
 
 
-def test_faults_of_a_log_are_scored_with_and_without_robust_handling(log):
+def test_faults_of_a_log_are_scored(log):
     samples = scores.perturbed_replay(log, 0, **FLAT)
     cases = recorded_logs.fault_cases(samples)
     few = {name: cases[name] for name in ("none", "outliers")}
-    rows = recorded_logs.fault_scores(log, few, 1, **FLAT, robust=True)
+    rows = recorded_logs.fault_scores(log, few, 1, **FLAT)
     means = recorded_logs.fault_means(rows)
-    assert [*means.index] == [(name, robust) for name in few for robust in (False, True)]
+    assert [*means.index] == [*few]
     worst_m = means["worst_position_m"]
-    assert worst_m["none", False] < worst_m["outliers", False] and (means["outside"] == 0).all()
+    assert worst_m["none"] < worst_m["outliers"] and (means["outside"] == 0).all()
 
 
 def test_faults_are_shown_with_one_row_a_case():
     runs, _ = faults.study(
-        rhec.Scenario(), [0, 1], faults._HANDLING, {"none": faults.CASES["none"]}
+        rhec.Scenario(), [0, 1], faults._ESTIMATORS, {"none": faults.CASES["none"]}
     )
     shown = faults.readable_fault_table(faults.fault_table(runs))
     assert list(shown.index) == ["none: no fault"]
-    assert shown.loc["none: no fault", "recovered, on"] == "2 of 2"
+    assert shown.loc["none: no fault", "recovered, RHE"] == "2 of 2"
     counts = faults.verdict_counts(faults.fault_table(runs))
     assert list(counts["runs"]) == [2, 2] and list(counts["cases"]) == [1, 1]
 

@@ -63,9 +63,8 @@ def interpretations_table(sigma_x_m):
 def replay_faults():
     names = ("no GNSS for 5 s", "left encoder dead for 20 s", "outliers of 2 m")
     rows = [
-        dict(fault=name, robust=robust, seed=seed, worst_position_m=size, worst_yaw_rad=size / 3)
+        dict(fault=name, seed=seed, worst_position_m=size, worst_yaw_rad=size / 3)
         for name in names
-        for robust in (False, True)
         for seed, size in enumerate(10 ** RNG.uniform(-2, 0.5, 3))
     ]
     return recorded_logs_plots.replay_faults(pd.DataFrame(rows))

@@ -33,9 +33,9 @@ def log_file(tmp_path):
 def test_a_run_is_that_of_python(capsys, tmp_path):
     file = tmp_path / "log.csv"
     words = ["simulate", *SHORT, "--world", "soft", "--seed", "3", "--q", "[1, 1, 0.5]"]
-    assert main([*words, "--robust", "--json", "--log", str(file)]) == 0
+    assert main([*words, "--json", "--log", str(file)]) == 0
     metrics = json.loads(capsys.readouterr().out)
-    fields = rhec.WORLDS["soft"] | dict(duration_s=8, seed=3, q=(1, 1, 0.5), robust=True)
+    fields = rhec.WORLDS["soft"] | dict(duration_s=8, seed=3, q=(1, 1, 0.5))
     run = rhec.simulate(rhec.Scenario(**fields))
     for name, value in run.metrics.items():
         assert metrics[name] == value or metrics[name] is None and np.isnan(value)

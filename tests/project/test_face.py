@@ -151,7 +151,7 @@ def test_a_function_that_makes_an_object_names_all_its_options(where):
 
 def test_a_signature_names_what_may_be_passed():
     assert inspect.signature(rhec.EKF).parameters["sigma_v"].annotation == tuple[float, ...]
-    assert inspect.signature(rhec.Scenario).parameters["robust"].annotation is bool
+    assert inspect.signature(rhec.Scenario).parameters["backwards"].annotation is bool
 
 
 def test_objects_show_what_they_are():

@@ -186,8 +186,8 @@ SOIL = rhec.Terrain.uniform(0.9, 0.8)
 
 
 @some(40)
-@given(weird, st.lists(a_fault, max_size=2), st.booleans(), st.integers(0, 2**70))
-def test_a_simulation(fields, several, robust, seed):
+@given(weird, st.lists(a_fault, max_size=2), st.integers(0, 2**70))
+def test_a_simulation(fields, several, seed):
     """Whatever it is tuned to, and wherever it starts: commands keep their bound, estimates are
     finite, traction between 0 and 1.
     """
@@ -195,7 +195,7 @@ def test_a_simulation(fields, several, robust, seed):
         rhec.Fault(kind="missing", duration_s=0.0),
     )
     scenario = rhec.Scenario(
-        **dict(duration_s=5.0) | fields, terrain=SOIL, faults=broken, robust=robust, seed=seed
+        **dict(duration_s=5.0) | fields, terrain=SOIL, faults=broken, seed=seed
     )
     with np.errstate(all="ignore"):
         columns = rhec.simulate(scenario).columns
@@ -358,10 +358,9 @@ def test_a_controller_recovers_from_absurd_arguments(moments, solver):
 @given(
     st.lists(st.tuples(absurd, absurd, absurd, absurd), min_size=1, max_size=40),
     st.sampled_from(["parameter", "input", "slipping"]),
-    st.booleans(),
 )
-def test_an_estimator_stays_finite_on_absurd_measurements(measurements, speed_model, robust):
-    rhe = rhec.RHE(guess=(0, 0, 0, 0.5, 1, 1), speed_model=speed_model, robust=robust)
+def test_an_estimator_stays_finite_on_absurd_measurements(measurements, speed_model):
+    rhe = rhec.RHE(guess=(0, 0, 0, 0.5, 1, 1), speed_model=speed_model)
     for z in measurements:
         rhe.prepare()
         estimate = rhe.feedback(z)
@@ -498,7 +497,6 @@ PARAMETERS = [
     "sigma_yaw_rad",
     "sigma_v",
     "process_noise",
-    "robust",
     "speed_model",
     "nonsense",
 ]

@@ -295,7 +295,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         faults=(rhec.Fault(kind="stuck"),),
     )
     # Of some estimators alone.
-    others = ("robust", "sensors", "sigma_gyro", "sigma_heading")
+    others = ("sensors", "sigma_gyro", "sigma_heading")
     sensing = dict(estimator="rhe", sensors=("gyro", "heading"))
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name not in others:
@@ -315,7 +315,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
             dict(path=other_target),
             dict(estimator=own_estimator()),
             dict(estimator=own_estimator(estimate=ca.DM.ones(6))),
-            dict(estimator="rhe", robust=True),
+            dict(estimator="rhe"),
             dict(controller=own_controller(SHORT, gain=3.0)),
             sensing,
             sensing | dict(sigma_gyro=(0.03, 0.1)),

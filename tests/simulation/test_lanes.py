@@ -24,7 +24,7 @@ from rhec.core.lanes import lanes, parts
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
-from rhec.tracked_robot.estimators import NAMES, ROBUST_NAMES
+from rhec.tracked_robot.estimators import NAMES
 
 pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C++ compiler")
 SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
@@ -39,9 +39,8 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
-KINDS = {name: dict(estimator=name) for name in NAMES} | {
-    f"{name}, gated, with faults": dict(estimator=name, robust=True) for name in ROBUST_NAMES
-}
+KINDS = {name: dict(estimator=name) for name in NAMES}
+KINDS["rhe, with faults"] = dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),))
 KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
 KINDS["own controller"] = dict(controller=own_controller(SMALL))
 KINDS["two tracks"] = dict(soil_under="tracks")
@@ -66,7 +65,7 @@ def unlike(kind):
             encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
             slip_difference=0.05 * (i - 4), rotation_centre_m=0.1 * (i - 3),
             rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
-            faults=faults if "robust" in kind else (),
+            faults=faults if "patches" in kind else (),
         )  # fmt: skip
 
 

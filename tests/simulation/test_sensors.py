@@ -198,7 +198,7 @@ def test_side_slip_turns_the_course_and_not_the_yaw():
 
 
 def test_without_a_compiler_the_results_are_the_same():
-    fields = dict(duration_s=4.0, speed_model="slipping", robust=True)
+    fields = dict(duration_s=4.0, speed_model="slipping")
     compiled = changed(**fields).log.astype(float)
     with no_compiler():
         slow = changed(**fields).log.astype(float)

@@ -15,7 +15,7 @@ import rhec
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS
 
-BASE = rhec.Scenario(robust=True)
+BASE = rhec.Scenario()
 
 
 def assert_equal_states(one, other):

@@ -70,7 +70,7 @@ def test_the_estimator_gets_what_the_log_holds():
     np.testing.assert_allclose(estimate, run.log[ESTIMATE], atol=1e-9)
 
 
-@pytest.mark.parametrize("choice", [dict(traction_timing="prepared_anew"), dict(robust=True)])
+@pytest.mark.parametrize("choice", [dict(traction_timing="prepared_anew"), {}])
 def test_a_missing_yaw_rate_is_the_last_command(choice):
     fault = rhec.Fault(kind="missing", start_s=5.0, duration_s=3.0, channel="all")
     log = log_of(yaw_rate_interval="after", faults=(fault,), **choice)

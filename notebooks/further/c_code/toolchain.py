@@ -39,7 +39,7 @@ FLAGS = (
     "-Wextra",
     "-Wpedantic",
     "-Werror",
-    "-Wframe-larger-than=16384",  # Clang: 12.4 kB of the robust RHE
+    "-Wframe-larger-than=16384",  # Clang: 12.4 kB at most
 )
 LIBRARY = ("rhec.c", "rhec_scenario.c")
 _ARM = "aarch64"

@@ -245,26 +245,25 @@ def perturbed_scores(log, seeds, **arguments):
     return pd.DataFrame([dict(seed=seed) | score(samples) for seed, samples in zip(seeds, replays)])
 
 
-def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
-    """Scores of perturbed replays with faults, with and without robust handling.
+def fault_scores(log, cases, seeds, **arguments):
+    """Scores of perturbed replays with faults.
 
     Args:
         log: As in `perturbed_replay`, with the true pose.
         cases: {name: rhec.Fault}.
         seeds: Seeds of the noise.
-        handling: Values of `robust`.
         **arguments: As in `perturbed_replay`.
 
     Returns:
-        DataFrame, one row for each fault, handling and seed. worst_position_m and worst_yaw_rad are
+        DataFrame, one row for each fault and seed. worst_position_m and worst_yaw_rad are
         the largest errors from the beginning of the fault to the end of its segment, last_yaw_rad
         is the error at the end; outside and not_ok are those of `score`.
     """
     recording, others = _prepared(log, **arguments)
     rows = []
-    for name, robust, seed in itertools.product(cases, handling, seeds):
+    for name, seed in itertools.product(cases, seeds):
         start_s = cases[name].start_s
-        samples = _perturbed(recording, seed, faults=(cases[name],), robust=robust, **others)
+        samples = _perturbed(recording, seed, faults=(cases[name],), **others)
         segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
         after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
         yaw = yaw_error(after).abs()
@@ -272,7 +271,6 @@ def fault_scores(log, cases, seeds, handling=(False, True), **arguments):
         rows.append(
             dict(
                 fault=name,
-                robust=robust,
                 seed=seed,
                 worst_position_m=np.hypot(*_position_error(after)).max(),
                 worst_yaw_rad=yaw.max(),

@@ -9,9 +9,8 @@ then reaches all phases by `with_guard`, whoever the judge is:
 
 - feedback solves with what is used; its `ok` is 0 where the sample contradicts the prediction;
 - expand keeps the window, or restarts it, and remembers what was used;
-- shift and linearise have the noise that was used at each node: the variances V of its
-  measurements where the judge weighs them, and Q of the interval before it where process noise acts
-  within the window (`window_noise`).
+- shift and linearise have the noise that was used at each node: Q of the interval before it, where
+  process noise acts within the window (`window_noise`).
 
 The words, here and in all judges:
 
@@ -26,6 +25,7 @@ The words, here and in all judges:
 """
 
 import casadi as ca
+import numpy as np
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 
@@ -36,7 +36,6 @@ class Judge:
     Its Functions take by name any inputs and results of the phases that they wrap.
     """
 
-    weighs = False  # whether the variances V of measurements differ by node
     # Whether the model, too, may lead nowhere, as one without slopes in places does: then the
     # prediction and all nodes of the window have to be plausible.
     doubts_model = False
@@ -52,8 +51,8 @@ class Judge:
     def build(self, window):
         """The Function (prediction, s_N, z_N, noise, age, memory) -> (z_used, …).
 
-        Besides `z_used` it may return `V_used`, `P_used` (the prediction's covariance), `agrees`,
-        `accepted` and `restart`. Of each piece of the memory it returns `<piece>_after`.
+        Besides `z_used` it may return the prediction's `m_used` and `P_used`, `agrees`, `accepted`
+        and `restart`. Of each piece of the memory it returns `<piece>_after`.
         """
 
         @casadi_function("judge", ca.SX, z_N=(len(window.model.outputs), 1))
@@ -119,9 +118,9 @@ def noise_memory(window):
 
 
 def first_noise(window):
-    """{name: array} of `noise_memory` before the first sample: of no measurement, of no noise."""
-    first = dict(V=ca.DM.ones, Q=ca.DM.zeros)
-    return {_of_window(name): first[name](*window.noises[name]).full() for name in window.by_node}
+    """{name: array} of `noise_memory` before the first sample: no noise."""
+
+    return {name: np.zeros(shape) for name, shape in noise_memory(window).items()}
 
 
 def whole_noise(window, values):
@@ -180,8 +179,8 @@ def _wrap_feedback(window, feedback_of_rhe, judge, kind):
         given = inputs | (dict(Q=inputs["W"]) if window.noisy else {})
         verdict = function(**select_inputs(function, given))
         given["z_N"] = verdict["z_used"]
-        given["V"] = verdict.pop("V_used", given["V"])
         given["P_N"] = verdict.pop("P_used", given["P_N"])
+        given["m_N"] = verdict.pop("m_used", given["m_N"])
         used = {f"{name}_used": given[name] for name in window.by_node}
         if set(noise_memory(window)) <= given.keys():  # the feedback solves for all of the window
             noises = whole_noise(window, given | used)

@@ -126,9 +126,8 @@ class Window(NamedTuple):
 
     @property
     def by_node(self):
-        """Names of the noises that differ by node, or by interval."""
-        weighs = bool(self.judge and self.judge.weighs)
-        return ("V",) * weighs + ("Q",) * self.noisy
+        """Names of the noises that differ by node."""
+        return ("Q",) * self.noisy
 
     @property
     def doubts_model(self):
@@ -146,16 +145,15 @@ class Window(NamedTuple):
 
     @property
     def noises(self):
-        """Shapes for the whole window: V by node has N + 1 columns, Q one for each interval."""
-        columns = dict(V=self.N + 1, Q=self.N)
-        by_node = {name: (self.noise[name][0], columns[name]) for name in self.by_node}
+        """Shapes for the whole window: Q has one column for each interval."""
+        by_node = {name: (self.noise[name][0], self.N) for name in self.by_node}
         return self.noise | by_node
 
     def at(self, node, **noises):
         """V, c and Q of one node, from those of the whole window."""
         # Before the oldest node lies no interval of the window.
-        columns = dict(V=node, Q=max(node - 1, 0))
-        return noises | {name: noises[name][:, columns[name]] for name in self.by_node}
+        column = max(node - 1, 0)
+        return noises | {name: noises[name][:, column] for name in self.by_node}
 
     @property
     def prediction(self):
@@ -726,6 +724,9 @@ def refuse_noise(sigma_w):
 class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
+    A sample far outside its prediction is not used, and `ok` is False then; where such samples
+    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`).
+
     Args:
         model: The robot, a rhec.Model.
         dt: Length of a sample [s].
@@ -737,10 +738,6 @@ class RHE(RealTimeLoop):
         sigma_guess: Standard deviations of the guess.
         arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, so that on a
             linear model the RHE is the Kalman filter; or "smoothed", from the previous solution.
-        robust: Whether a sample that lies outside its prediction as one in a thousand good ones
-            does counts as missing (innovation gating). Otherwise only one in a billion does, and
-            the estimator is least squares for all others. In both cases `ok` is False then, and 30
-            of them in succession, or three windows, restart the window.
         noise_in_window: Whether the process noise also acts within the window, whose states then
             need not follow the model exactly. `feedback` takes its standard deviations by sample.
 
@@ -760,7 +757,6 @@ class RHE(RealTimeLoop):
         guess: valid.Reals,
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "filtered",
-        robust: valid.Flag = False,
         noise_in_window: valid.Flag = False,
     ):
         self._guess = joint_guess(model, guess, sigma_guess)
@@ -768,8 +764,7 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        share = innovation_gate.ROBUST if robust else innovation_gate.SAFEGUARD
-        gate = innovation_gate.InnovationGate(share)
+        gate = innovation_gate.InnovationGate()
         window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
         self._load(build_solvable, window, settings)
 

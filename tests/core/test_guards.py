@@ -1,0 +1,157 @@
+"""One judge for every RHE: what one sample does, and the acceptance table of `guard_table`."""
+
+import dataclasses
+import functools
+
+import casadi as ca
+import guard_table as table
+import numpy as np
+import pytest
+
+import rhec
+from rhec.core.estimator import innovation_gate
+from rhec.core.estimator.innovation_gate import InnovationGate
+from rhec.simulation.columns import MEASUREMENTS
+
+DRIVES = 4
+NIGHTLY_DRIVES = 24
+SAMPLE = [case for i, case in enumerate(table.cases()) if i % 29 == 0]
+
+
+def assert_kept(case, n):
+    """Lost no more often than the EKF, no farther off, back no later; `ok` False where lost."""
+    ours, ekf, moved = table.rows_of(case, n)
+    assert not table.breaches(ours, ekf, moved), (ours, ekf, moved)
+
+
+@pytest.mark.parametrize("case", SAMPLE, ids=" ".join)
+def test_no_fault_costs_the_rhe_more_than_the_ekf(case):
+    assert_kept(case, DRIVES)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("case", table.cases(), ids=" ".join)
+def test_no_fault_costs_the_rhe_more_than_the_ekf_on_many_drives(case):
+    assert_kept(case, NIGHTLY_DRIVES)
+
+
+@functools.cache
+def found(robot, fault="none", when="later", judge=table.ANY):
+    """The spoiled Drives, the estimates and `ok` of the RHE on them."""
+    drives = table.spoiled(table.Case(robot, when, fault), DRIVES)
+    return drives, *table.run(table.ROBOTS[robot].estimators(judge)["RHE"], drives)
+
+
+ROBOTS = [name for name in table.ROBOTS if name != "tank"]
+UP_TO_THREE = [name for name in table.WILD if name[0] in "123" and name[1] == " "]
+
+
+@pytest.mark.parametrize("fault", UP_TO_THREE[::5])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_up_to_three_wild_samples_move_nothing(robot, fault):
+    """They are not `ok`, and the estimates are those of the same samples without a position."""
+    drives, places, ok = found(robot, fault)
+    _, spared, _ = found(robot)
+    assert np.linalg.norm(places - spared, axis=-1).max() < 0.05
+    for first, last, flags in zip(drives.first, drives.last, ok):
+        assert (~flags).nonzero()[0].tolist() == [*range(first, last + 1)]
+
+
+@pytest.mark.parametrize("robot", ["bicycle", "unicycle"])
+def test_a_wild_first_sample_is_judged_by_the_first_guess(robot):
+    drives, places, ok = found(robot, "1 wild of 10000 m", "first")
+    assert not ok[:, 0].any() and ok[:, 1:].all()
+    assert np.linalg.norm(places - drives.places, axis=-1).max() < 1.5  # the guess is 0.3 m off
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_drives_without_a_fault_keep_the_bits_that_they_have_without_a_judge(robot):
+    _, places, ok = found(robot)
+    _, unjudged, _ = found(robot, judge=None)
+    assert ok.all()
+    np.testing.assert_array_equal(places, unjudged)
+
+
+def test_without_a_judge_drives_are_lost():
+    drives, places, ok = found("bicycle", "3 wild of 10000 m", judge=None)
+    assert (np.linalg.norm(places - drives.places, axis=-1)[:, -1] > 0.5).any() and ok.any()
+
+
+@pytest.mark.parametrize("size_m", [5, 100])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_positions_that_have_moved_for_good_are_taken_at_the_fourth(robot, size_m):
+    drives, places, ok = found(robot, f"moved for good by {size_m} m")
+    error = np.linalg.norm(places - drives.places, axis=-1)
+    for first, flags, off in zip(drives.first, ok, error):
+        assert (~flags).nonzero()[0].tolist() == [first, first + 1, first + 2]
+        assert off[first + 3 :].max() < 0.5
+
+
+@pytest.mark.parametrize(("robot", "N"), [("paper, printed", 15), ("unicycle", 10)])
+def test_of_scattered_positions_none_is_used_until_one_has_to_be(robot, N):
+    drives = table.spoiled(table.Case(robot, "later", "none"), DRIVES)
+    rng = np.random.default_rng(1)
+    z = drives.z.copy()
+    z[:, 30:, :2] += rng.uniform(-1e4, 1e4, z[:, 30:, :2].shape)
+    estimator = table.ROBOTS[robot].estimators()["RHE"]
+    places, ok = table.run(estimator, drives._replace(z=z))
+    most = innovation_gate.patience(N)
+    assert most == max(30, 3 * N)
+    error = np.linalg.norm(places - drives.places, axis=-1)
+    assert not ok[:, 30 : 29 + most].any() and ok[:, 29 + most].all()
+    assert error[:, 30 : 29 + most].max() < 8 and (error[:, 29 + most] > 50).all()
+
+
+@pytest.mark.parametrize("factor", [3.0, 1e3, 1e7])
+def test_a_wild_input_beside_a_wild_position_is_not_used(factor):
+    drives, spared, _ = found("unicycle")
+    z = drives.z.copy()
+    z[:, 60, :2] += 500.0
+    z[:, 60, 2:] += factor
+    estimator = table.ROBOTS["unicycle"].estimators()["RHE"]
+    places, ok = table.run(estimator, drives._replace(z=z))
+    assert not ok[:, 60].any() and ok[:, 61:].all()
+    assert np.linalg.norm(places - spared, axis=-1).max() < 0.1
+
+
+def test_beside_a_wild_input_the_position_is_used():
+    drives, places, ok = found("unicycle", "encoders wild 1 s")
+    error = np.linalg.norm(places - drives.places, axis=-1)
+    assert ok.all() and error.max() < 0.15
+
+
+@pytest.mark.parametrize(("variance", "is_ok"), [(1.0, 1), (0.0, 0), (-1e-9, 0), (1e13, 0)])
+def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
+    counts = dict.fromkeys(("rejected_after", "in_line_after", "missing_after"), 3)
+    verdict = dict(agrees=1, restart=1) | counts
+    result = dict(ok=ca.DM(1), covariance=ca.diag(ca.DM([1.0, variance])))
+    flags = InnovationGate().conclude(None, verdict, result)
+    assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
+    assert flags["rejected_after"] == 3 * is_ok
+
+
+def test_the_live_estimator_is_that_of_the_loop_and_has_no_kkt_where_it_is_not_ok():
+    z = table.spoiled(table.Case("paper, printed", "later", "moved for good by 5 m"), DRIVES).z[0]
+    live = rhec.RHE(arrival_mean="filtered")
+    estimator = table.ROBOTS["paper, printed"].estimators()["RHE"]
+    drives = table.Drives(z[None], z[None, :, :2])
+    (places,), (ok,) = table.run(estimator, drives)
+    for row, place, is_ok in zip(z, places, ok):
+        live.prepare()
+        assert live.feedback(row).pose[:2] == pytest.approx(place, abs=1e-9)
+        assert live.ok == is_ok
+        assert np.isnan(live.kkt) != is_ok
+
+
+def test_a_closed_loop_drives_on_after_a_repeated_and_then_a_wild_position():
+    faults = (
+        rhec.Fault(kind="stuck", start_s=19.8, duration_s=0.2),
+        rhec.Fault(kind="outliers", start_s=20.0, duration_s=0.2, size_m=1000.0),
+    )
+    scenario = rhec.Scenario(duration_s=40.0, faults=faults)
+    hit = rhec.simulate(scenario).log
+    spared = rhec.simulate(dataclasses.replace(scenario, faults=())).log
+    assert (~hit["ok"]).sum() == 1
+    assert (hit["position_accepted"] == hit["ok"]).all() and spared["position_accepted"].all()
+    assert hit["error_true_m"].max() < spared["error_true_m"].max() + 0.05
+    assert len(hit[MEASUREMENTS]) == 200
