@@ -208,12 +208,11 @@ class Scenario:
 def _check_kinds(scenario):
     """Refuse an estimator, controller, path or terrain of another kind."""
     estimator = scenario.estimator
-    is_name = isinstance(estimator, str) and estimator in NAMES
-    if not is_name and not isinstance(estimator, Estimator):
+    if not _is_one_of(NAMES, estimator) and not isinstance(estimator, Estimator):
         expected = f"it should be one of {NAMES}, a rhec.Estimator or a CasADi Function"
         raise ValueError(f"estimator was {valid.shown(estimator)}; {expected}")
     controller = scenario.controller
-    if not isinstance(controller, Controller) and not _is_rhc(controller):
+    if not _is_one_of(("rhc",), controller) and not isinstance(controller, Controller):
         expected = "it should be 'rhc' or a rhec.Controller"
         raise ValueError(f"controller was {valid.shown(controller)}; {expected}")
     for name, kind in (("path", Path), ("terrain", Terrain)):
@@ -223,8 +222,8 @@ def _check_kinds(scenario):
             raise ValueError(f"{name} was {valid.shown(value)}; {expected}")
 
 
-def _is_rhc(controller):
-    return isinstance(controller, str) and controller == "rhc"
+def _is_one_of(names, value):
+    return isinstance(value, str) and value in names
 
 
 def _check_deviation(scenario, name):
