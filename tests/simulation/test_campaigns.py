@@ -283,7 +283,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         sigma_w=(1.0,) * 4,
         speed_model="input",
         slip=(0.2, 0.1, 0.1, 0.02, 0.05),
-        arrival_mean="filtered",
+        arrival_mean="smoothed",
         yaw_rate_interval="after",
         input_reference="curvature",
         command_delay=1,
