@@ -4,7 +4,8 @@ The robot of one paper: Kayacan, Young, Peschel, Chowdhary, "High-Precision Cont
 Robots in the Presence of Unknown Traction Coefficients" (2018), and a thin core of moving horizon
 estimation (MHE) and model predictive control (MPC) for any robot.
 
-One run          Scenario, simulate, Run, Controller   The world    Path, Terrain, Fault, WORLDS
+One run          Scenario, simulate, Run               The world    Path, Terrain, Fault, WORLDS
+Parts of a run   Estimator, Controller
 Many runs        campaign, batch                       Any robot    Model, RHE, RHC, EKF, Bound
 A recorded log   logs.read, doctor, calibrate, replay  Its path     PathTracker
 On a robot       export                                In Jupyter   Explorer
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from rhec.simulation.scenario import Scenario as Scenario
     from rhec.simulation.simulate import simulate as simulate
     from rhec.simulation.worlds import WORLDS as WORLDS
+    from rhec.tracked_robot.own_estimator import Estimator as Estimator
     from rhec.tracked_robot.path import Path as Path
     from rhec.tracked_robot.references import PathTracker as PathTracker
     from rhec.tracked_robot.terrain import Terrain as Terrain
@@ -44,6 +46,7 @@ _HOME = {
     "Bound": "core.controller.bounds",
     "Controller": "simulation.controller",
     "EKF": "core.estimator.ekf",
+    "Estimator": "tracked_robot.own_estimator",
     "Explorer": "explorer.explorer",
     "Fault": "simulation.faults",
     "Model": "core.model.base",

@@ -5,6 +5,7 @@ is called is a Program: it computes one run at a time (`OneByOne`) or as many as
 SIMD lanes (`rhec.core.lanes.lanes.InLanes`), with the same bits.
 """
 
+import functools
 import math
 import operator
 import threading
@@ -90,14 +91,15 @@ class Program(compiled.Uncopied):
         self._arrays = {}
         self._last_settings = {}
 
-    def evaluate(self, arguments, results):
-        """Call the Function once for each entry of the results, one call after the other.
+    def evaluate(self, calls, arguments, results):
+        """Call the Function, one call after the other.
 
         Args:
-            arguments: {name: array (calls, length, lanes)}, or (1, length, lanes) of what all calls
-                share.
-            results: {name: array (calls, length, lanes)}, to write to. A call may read what the
-                call before it wrote, but not what it writes itself.
+            calls: Number of calls.
+            arguments: {name: array (entries, length, lanes)}. The calls take the entries in turn:
+                they share a single one.
+            results: {name: array (entries, length, lanes)}, to write to, likewise. A call may read
+                what the call before it wrote, but not what it writes itself.
         """
         raise NotImplementedError
 
@@ -120,40 +122,53 @@ class Program(compiled.Uncopied):
             values = [of_run[name] for of_run in settings]
             last = self._last_settings.get(name)
             if last is None or not all(map(operator.is_, values, last)):
-                self._last_settings[name] = values
                 # What several lanes share is flattened once, so that `_interleave` recognises it.
                 flat = {id(value): _flat(value, size) for value in values}
                 _interleave(array[0], [flat[id(value)] for value in values])
+                self._last_settings[name] = values
         return arrays
 
 
 class OneByOne(Program):
-    """A Function that computes one run at a time: a Program with one lane."""
+    """A Function that computes one run at a time: a Program with one lane.
+
+    It reads settings where they are, without copying them.
+    """
 
     def __init__(self, function):
         sizes = {name: function.nnz_in(name) for name in function.name_in()}
         super().__init__(1, sizes, {name: function.size_out(name) for name in function.name_out()})
         self._call = compiled.BufferedFunction(function)
 
-    def evaluate(self, arguments, results):
+    def interleaved_settings(self, settings):
+        """As `Program.interleaved_settings`."""
+        _, _, *names = self.sizes
+        (of_run,) = settings
+        return {
+            name: np.ascontiguousarray(_flat(of_run[name], self.sizes[name]), float)[None, :, None]
+            for name in names
+        }
+
+    def evaluate(self, calls, arguments, results):
         """As `Program.evaluate`."""
-        moving = []
-        for name in self.sizes:
-            if len(arguments[name]) == 1:
-                self._call.read_from(name, arguments[name][0])
-            else:
-                moving.append(name)
-        for call in range(len(results["memory"])):
-            for name in moving:
-                self._call.read_from(name, arguments[name][call])
-            for name in self.shapes:
-                self._call.write_to(name, results[name][call])
+        given = [(self._call.read_from, name, arguments[name]) for name in self.sizes]
+        given += [(self._call.write_to, name, results[name]) for name in self.shapes]
+        moving = [each for each in given if len(each[2]) > 1]
+        for call in range(calls):
+            for connect, name, array in moving if call else given:
+                connect(name, array[call % len(array)])
             self._call.call()
+
+
+# Making one takes as long as 50 samples.
+@functools.lru_cache(maxsize=16)
+def _one_by_one(function):
+    return OneByOne(function)
 
 
 def run_one(functions, memory, stream, settings):
     """The rows of output (n, n_outputs) of one run; `functions` are those of `build`."""
-    (rows,) = run(OneByOne(functions["block"]), [memory], [stream], [settings])
+    (rows,) = run(_one_by_one(functions["block"]), [memory], [stream], [settings])
     return rows
 
 
@@ -217,20 +232,21 @@ def _fold(program, memories, streams, settings):
     """
     idle = program.lanes - len(streams)
     memories, streams, settings = (
-        [*of_runs, *of_runs[-1:] * idle] for of_runs in (memories, streams, settings)
+        [*of_runs, *[of_runs[-1]] * idle] for of_runs in (memories, streams, settings)
     )
     memory_name, stream_name, *_ = program.sizes
     n_rows, length = program.shapes["rows"]
     calls = -(-max(map(len, streams)) // length)  # rounded up
-    memory = program.array("memory before each block", calls + 1, program.sizes[memory_name])
+    # Each call writes the memory that the next one reads.
+    memory = program.array("memory, in turn", 2, program.sizes[memory_name])
     _interleave(memory[0], memories)
     n_inputs = program.sizes[stream_name] // length
     stream = program.array("stream of inputs", calls * length, n_inputs)
     _interleave(stream, streams)
     rows = program.array("rows of output", calls * length, n_rows)
-    by_block = {memory_name: memory[:-1], stream_name: _by_block(stream, length)}
-    results = dict(memory=memory[1:], rows=_by_block(rows, length))
-    program.evaluate(program.interleaved_settings(settings) | by_block, results)
+    by_block = {memory_name: memory, stream_name: _by_block(stream, length)}
+    results = dict(memory=memory[::-1], rows=_by_block(rows, length))
+    program.evaluate(calls, program.interleaved_settings(settings) | by_block, results)
     return rows
 
 

@@ -159,8 +159,8 @@ def _check(scenario):
             f"estimator was {estimator!r}, {obstacle}; to export, it should be one of "
             f"{', '.join(names)} or a CasADi Function"
         )
-    if isinstance(estimator, ca.Function):
-        for called in estimator.find_functions():
+    if not isinstance(estimator, str):
+        for called in estimator.step.find_functions():
             if called.class_name() not in _PLAIN:
                 raise ValueError(
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "

@@ -20,7 +20,7 @@ from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import plant_options as robot_options
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
+from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 
@@ -32,8 +32,6 @@ _OF_CONTROLLER = (
     dict(memory="controller", kkt="kkt_rhc", ok="ok_rhc"),
 )
 _LIMITS = SPEED_MODELS["parameter"].model.limits
-# Results that a user's own estimator may have besides its memory and estimate.
-_RESULTS = ("covariance", "deviance", "accepted", "restart", "kkt", "ok")
 
 
 def blocks_of(scenario, n_segments=None, terrain_shape=None):
@@ -51,14 +49,13 @@ def blocks_of(scenario, n_segments=None, terrain_shape=None):
     has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift
     horizon = scenario.prediction_horizon
     own = own_controller(scenario)
-    step = own.compared_step if own else None
     return (
         *_ground(terrain_shape, scenario.soil_under),
         *_sensors(sensors, bool(scenario.faults), interval),
         *_estimator(choice),
         *_yaw_rate(len(sensors), interval, has_yaw_drift),
         *_references(horizon, n_segments, scenario.input_reference),
-        *_controller(step, horizon, scenario.traction_timing, has_yaw_drift),
+        *_controller(own, horizon, scenario.traction_timing, has_yaw_drift),
         *_motion(bool(scenario.command_delay), bool(scenario.side_slip_rad)),
         *_log(len(sensors)),
     )
@@ -119,24 +116,7 @@ def _estimator(choice):
     yield Block(default_results, (_N_Z + len(choice.sensors),))
     reads = dict(memory="estimator", z_N="z", traction="known_traction")
     writes = dict(memory="estimator", kkt="kkt_rhe", ok="ok_rhe", yaw_drift="yaw_drift_hat")
-    if choice.estimator not in NAMES:
-        reads, writes = _wires_of_own(build_step(choice), reads, writes)
     yield Block(build_step, (choice,), reads, writes, remembers=("estimator",))
-
-
-def _wires_of_own(step, reads, writes):
-    """What a user's own estimator reads and writes.
-
-    It may call its memory, measurement and estimate as it likes, so these go by their places;
-    everything else goes by name.
-    """
-    memory, z, *_ = step.name_in()
-    next_memory, estimate, *others = step.name_out()
-    of_step = {name: writes.get(name, name) if name in _RESULTS else None for name in others}
-    return (
-        reads | {memory: "estimator", z: "z"},
-        of_step | {next_memory: "estimator", estimate: "estimate"},
-    )
 
 
 @_blocks
@@ -163,8 +143,8 @@ def _references(horizon, n_segments, input_reference):
 
 @_blocks
 def _controller(own, horizon, traction_timing, has_disturbance):
-    """The command, of a user's `own` Step or of the paper's RHC."""
-    takes = own.function.name_in() if own else ("memory",)
+    """The command, of a user's `own` Controller or of the paper's RHC."""
+    takes = own.step.name_in() if own else ("memory",)
     remembers = ("command", "controller") if "memory" in takes else ("command",)
     if own:
         control = Block(own_step, (own,), *_OF_CONTROLLER, remembers)
@@ -261,9 +241,9 @@ def references_on_path(dt_s, horizon, n_segments, input_reference):
     return build_references(dt_s, horizon, n_segments, input_reference)["references"]
 
 
-def own_step(step):
+def own_step(controller):
     """A user's controller."""
-    return step.function
+    return controller.step
 
 
 def row_of_log(n_z):

@@ -19,7 +19,7 @@ SETTLED_S = 20.0  # by then the exact first guess no longer matters
 @functools.lru_cache(maxsize=8)
 def _build(outputs, choice):
     """An estimator's step over measurements, and the traction where it takes one."""
-    step = build_step(Choice(*choice))
+    step = build_step(choice)
     streamed = ["traction"] if "traction" in step.name_in() else []
     return runner.build_recorded(step, outputs, streamed)
 
@@ -37,7 +37,8 @@ def run_estimator_on_all(scenario, runs, *outputs):
     structure = outputs, Choice.of(scenario)
     step = _build(*structure)["step"]
     memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
-    rows = runner.run(lanes.program(_build, *structure), memories, streams, settings)
+    (program,) = lanes.programs(_build, [structure])
+    rows = runner.run(program, memories, streams, settings)
     return [runner.by_name(step, of_run) for of_run in rows]
 
 

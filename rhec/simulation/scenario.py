@@ -19,6 +19,7 @@ from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
+from rhec.tracked_robot.own_estimator import Estimator
 from rhec.tracked_robot.path import Path, path_of
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
@@ -28,15 +29,15 @@ class Scenario:
     # The estimator
 
     # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
-    estimator: Annotated[EstimatorName | ca.Function, SkipValidation] = "rhe"
+    estimator: Annotated[EstimatorName | Estimator | ca.Function, SkipValidation] = "rhe"
     """The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
     "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
     "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
     traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE with
     μ = κ = 1); "yaw_drift_ekf" (a bounded EKF that also estimates how much the robot turns for each
     metre without a yaw rate of its tracks, which the controller cancels); "drift_oracle" (an EKF
-    with the true traction and yaw drift). Or a CasADi Function (memory, z) -> (memory, estimate),
-    whose memory starts as the first guess (x, y, θ, ν, μ, κ) followed by zeros."""
+    with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
+    (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
     """W by name (R1, R2). "printed": the paper's; "likelihood": the likeliest on training seeds;
     "consistent": makes the covariance match the errors there; "tracking": has the least true error
@@ -193,6 +194,8 @@ class Scenario:
     __repr__ = as_python
 
     def __post_init__(self):
+        if isinstance(self.estimator, ca.Function):
+            object.__setattr__(self, "estimator", Estimator(self.estimator))
         _check_kinds(self)
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
@@ -206,11 +209,11 @@ class Scenario:
 def _check_kinds(scenario):
     """Refuse an estimator, controller, path or terrain of another kind."""
     estimator = scenario.estimator
-    if not _is_users_own(estimator) and not (isinstance(estimator, str) and estimator in NAMES):
-        expected = f"it should be one of {NAMES} or a CasADi Function"
+    if not _is_one_of(NAMES, estimator) and not isinstance(estimator, Estimator):
+        expected = f"it should be one of {NAMES}, a rhec.Estimator or a CasADi Function"
         raise ValueError(f"estimator was {valid.shown(estimator)}; {expected}")
     controller = scenario.controller
-    if not isinstance(controller, Controller) and not _is_rhc(controller):
+    if not _is_one_of(("rhc",), controller) and not isinstance(controller, Controller):
         expected = "it should be 'rhc' or a rhec.Controller"
         raise ValueError(f"controller was {valid.shown(controller)}; {expected}")
     for name, kind in (("path", Path), ("terrain", Terrain)):
@@ -220,12 +223,8 @@ def _check_kinds(scenario):
             raise ValueError(f"{name} was {valid.shown(value)}; {expected}")
 
 
-def _is_rhc(controller):
-    return isinstance(controller, str) and controller == "rhc"
-
-
-def _is_users_own(estimator):
-    return isinstance(estimator, ca.Function)
+def _is_one_of(names, value):
+    return isinstance(value, str) and value in names
 
 
 def _check_deviation(scenario, name):
@@ -243,9 +242,7 @@ def _check_deviation(scenario, name):
 def _check_fits_estimator(scenario):
     """Refuse `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
-    # A user's Function has no name; any name that is not in NAMES stands for it.
-    name = "own" if _is_users_own(estimator) else estimator
-    if scenario.sensors and name != "rhe":
+    if scenario.sensors and estimator != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
     for fault in scenario.faults:
@@ -254,7 +251,7 @@ def _check_fits_estimator(scenario):
                 f"faults was {valid.shown(scenario.faults)}, with a {fault.channel} that fails; "
                 f"sensors should have {fault.channel!r}, too, and was {scenario.sensors!r}"
             )
-    entries = estimator_of(name).n_sigma_w(Choice.of(scenario))
+    entries = estimator_of(estimator).n_sigma_w(Choice.of(scenario))
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")

@@ -37,7 +37,7 @@ class TractionInput(Enum):
 class Choice(NamedTuple):
     """The fields of a Scenario that decide the shape of its estimator's Functions."""
 
-    estimator: str  # one of `estimators.NAMES`, or a serialized Function
+    estimator: Any  # one of `estimators.NAMES`, or an own_estimator.Estimator
     estimation_horizon: int
     speed_model: str
     arrival_mean: str
@@ -58,7 +58,7 @@ class Choice(NamedTuple):
             expected = f"for the estimator {name!r} it should be None or one of {noises}"
             raise ValueError(f"process_noise was {noise!r}; {expected}")
         return cls(
-            name.serialize() if isinstance(name, ca.Function) else name,
+            name,
             scenario.estimation_horizon,
             scenario.speed_model,
             scenario.arrival_mean,

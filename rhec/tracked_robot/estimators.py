@@ -5,7 +5,7 @@ from typing import Literal, get_args
 import casadi as ca
 import numpy as np
 
-from rhec.tracked_robot import filters, rhe, tuning
+from rhec.tracked_robot import filters, rhe
 from rhec.tracked_robot.choice import Estimator, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -46,24 +46,12 @@ _ORACLE = Estimator(
 )
 
 
-def _init_user_function(choice, guess, sigma=None):
-    """The memory of a user's Function begins with the first guess, followed by zeros."""
-    length = ca.Function.deserialize(choice.estimator).numel_in(0)
-    return dict(memory=np.append([*guess.values()][:6], np.zeros(length))[:length])
-
-
-_USER_FUNCTION = Estimator(
-    build_step=lambda choice: ca.Function.deserialize(choice.estimator),
-    init=_init_user_function,
-    settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario)), W=np.zeros(1)),
-)
-
 _ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _ORACLE}
 
 
-def estimator_of(name):
-    """The Estimator of a name; any name that is not in NAMES stands for a user's Function."""
-    return _ESTIMATORS.get(name, _USER_FUNCTION)
+def estimator_of(estimator):
+    """The Estimator of a name; one of the user's own brings it along."""
+    return _ESTIMATORS[estimator] if isinstance(estimator, str) else estimator.row
 
 
 def build_step(choice):

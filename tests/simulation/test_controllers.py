@@ -136,7 +136,11 @@ def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path
         ("steer", (), "step was 'steer'; it should be a CasADi Function"),
         (step_of({}, COMMAND), 1.0, "memory was 1.0; it should be a sequence of finite numbers"),
         (step_of({}, COMMAND), (np.nan,), "memory was (nan,); it should be a sequence of finite"),
-        (step_of({}, COMMAND), ("a",), "memory was ('a',); it must be made of numbers"),
+        (
+            step_of({}, COMMAND),
+            ("a",),
+            "memory was ('a',); it should be a sequence of finite numbers",
+        ),
         (step_of({}, {}), (), "step has no result 'command'; it should have one"),
         (
             step_of(dict(speed=(1, 1)), COMMAND),

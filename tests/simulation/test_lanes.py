@@ -58,7 +58,7 @@ def unlike(kind):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            SMALL, seed=i, **dict(process_noise=("printed", "likelihood")[i % 2]) | kind,
+            SMALL, seed=i, **dict(process_noise=(None, "likelihood")[i % 2]) | kind,
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
@@ -250,16 +250,46 @@ def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
 
 
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
-    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
-    wrong = ca.Function("wrong", [memory, z], [memory, ca.SX(2, 1)])
     good = [*unlike({})][:2]
     alone = []
     simulate = campaigns.simulate
     monkeypatch.setattr(campaigns, "simulate", lambda each: alone.append(each) or simulate(each))
-    scenarios = [good[0], dataclasses.replace(SMALL, estimator=wrong), good[1]]
+    scenarios = [good[0], dataclasses.replace(SMALL, start_offset_m=1e6), good[1]]
     table = rhec.campaign(scenarios, workers=1)
     assert list(table["error"] == "") == [True, False, True] and alone == [scenarios[1]]
     assert_rows_of_simulate(table[::2], good)
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [(runner, "run"), (closed_loop, "finish_all"), (closed_loop, "noise_and_faults")],
+)
+def test_an_error_of_ours_does_not_turn_into_slower_runs(always, monkeypatch, place, name):
+    lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
+    monkeypatch.setattr(place, name, lambda *given: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        rhec.campaign([*unlike({})], workers=1)
+
+
+def test_an_error_in_a_loop_is_not_taken_for_one_of_its_compiler(always, monkeypatch, tmp_path):
+    def build_wrong_loop(*structure):
+        raise RuntimeError("a mistake")
+
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
+    monkeypatch.setattr(closed_loop, "build_sample", build_wrong_loop)
+    with pytest.raises(RuntimeError, match="^a mistake$"):
+        rhec.campaign([*unlike({})], workers=1)
+
+
+def test_a_helper_on_one_line_takes_no_other_helper_with_it():
+    """Of CasADi's C `sign` has one line; `norm_inf` may follow it."""
+    x = ca.MX.sym("x", 3)
+    found = ca.vertcat(ca.sign(x), ca.norm_inf(x), ca.norm_inf(ca.sign(x)))
+    memory, stream = ca.MX.sym("memory"), ca.MX.sym("stream", 3)
+    function = ca.Function("found", [x], [found])
+    step = ca.Function("step", [memory, stream], [memory, function(stream)])
+    text = lanes._text(step)
+    assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 
 def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):

@@ -37,14 +37,14 @@ _ONE_BY_ONE = (
 )
 
 
-def _program(build, *structure):
-    """The Program of the Functions of build(*structure)."""
-    if not lanes.is_compiled(build, *structure):
+def _programs(build, structures):
+    """The Programs of build(*structure) for each of these structures."""
+    if not all(lanes.is_compiled(build, *structure) for structure in structures):
         compiled.announce(build)
-    program = lanes.program(build, *structure)
-    if program.lanes == 1:
+    programs = lanes.programs(build, structures)
+    if any(program.lanes == 1 for program in programs):
         cache.warn_once(_ONE_BY_ONE)
-    return program
+    return programs
 
 
 class Estimates(NamedTuple):
@@ -129,7 +129,7 @@ class _Batch:
         """Do what is possible before the next sample; `feedback` does it if nobody has."""
         if self._shift and not self._is_prepared and not self._is_new.all():
             arguments = self._arguments | dict(memory=self._memory)
-            self._shift.evaluate(arguments, dict(memory=self._spare))
+            self._shift.evaluate(len(self._memory), arguments, dict(memory=self._spare))
             self._memory, self._spare = self._spare, self._memory
         self._is_prepared = True
 
@@ -165,7 +165,7 @@ class _Batch:
         arguments = self._arguments | dict(memory=self._memory)
         results = self._results | dict(memory=self._spare)
         first, *longer = self._iterations
-        first.evaluate(arguments, results)
+        first.evaluate(len(self._memory), arguments, results)
         for program in longer:
             unsolved = np.flatnonzero(self._get("ok") != 1)
             if len(unsolved):
@@ -212,12 +212,11 @@ class _IteratedBatch(_Batch):
     """A batch of the real-time iteration."""
 
     def __init__(self, n, build, problem, source, inputs, doublings=()):
-        whole = _program(build, problem, "iteration")
+        parts = [(problem, part) for part in ("iteration", "shift", IMPROVE)]
+        whole, shift, self._improvement = _programs(build, parts)
         # A run alone waits for no other.
-        shorter = doublings if whole.lanes > 1 else ()
-        iterations = [*(_program(build, problem, "iteration", each) for each in shorter), whole]
-        shift = _program(build, problem, "shift")
-        self._improvement = _program(build, problem, IMPROVE)
+        shorter = [(problem, "iteration", each) for each in doublings if whole.lanes > 1]
+        iterations = [*_programs(build, shorter), whole]
         super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
         names = ("converged", "done", "penalty_after")
         self._improved = self._zeros_of(self._improvement, names)
@@ -443,7 +442,7 @@ class EKFBatch(_EstimatorBatch):
         self._model = source.model
         self._first = source.first_memory
         inputs = dict(z_N=(len(source.model.outputs),))
-        program = _program(functions.build_filter, source.model, source.dt_s)
+        (program,) = _programs(functions.build_filter, [(source.model, source.dt_s)])
         super().__init__(n, [program], None, source.settings, inputs)
 
     def feedback(self, z: Any) -> Estimates:

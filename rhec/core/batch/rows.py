@@ -51,6 +51,6 @@ def evaluate_some(program, runs, arguments, results):
         for name, array in arguments.items()
     }
     few = {name: zeros(len(runs), array.shape[1], program.lanes) for name, array in results.items()}
-    program.evaluate(some, few)
+    program.evaluate(len(few["memory"]), some, few)
     for name, array in few.items():
         set_runs(results[name], runs, get_runs(array, np.arange(len(runs))))

@@ -121,10 +121,15 @@ def load(build, *structure):
     return None
 
 
-def program(build, *structure):
-    """Return the block of build(*structure) as a Program, in lanes where these are available."""
-    in_lanes = load(build, *structure)
-    return in_lanes or OneByOne(compiled.load(build, *structure)["block"])
+def programs(build, structures):
+    """Return the blocks of several structures as Programs of equally many lanes.
+
+    They run in lanes if these are available for all of them, else one by one.
+    """
+    in_lanes = [load(build, *structure) for structure in structures]
+    if all(in_lanes):
+        return in_lanes
+    return [OneByOne(compiled.load(build, *structure)["block"]) for structure in structures]
 
 
 def _text(function, name=None):
@@ -170,7 +175,7 @@ class InLanes(Program):
         self._integers = (ctypes.c_longlong * n_integers)()
         self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
 
-    def evaluate(self, arguments, results):
+    def evaluate(self, calls, arguments, results):
         """As `Program.evaluate`."""
         given = [(self._arguments, place, arguments[name]) for place, name in enumerate(self.sizes)]
         given += [(self._results, place, results[name]) for place, name in enumerate(self.shapes)]
@@ -179,8 +184,8 @@ class InLanes(Program):
             for pointers, place, array in given:
                 pointers[place] = array.ctypes.data
                 if len(array) > 1:  # addresses are faster than a new array for each call
-                    moving.append((pointers, place, pointers[place], array.strides[0]))
-            for call in range(len(results["memory"])):
-                for pointers, place, address, stride in moving:
-                    pointers[place] = address + call * stride
+                    moving.append((pointers, place, pointers[place], array.strides[0], len(array)))
+            for call in range(calls):
+                for pointers, place, address, stride, entries in moving:
+                    pointers[place] = address + call % entries * stride
                 self._library.block(self._arguments, self._results, self._integers, self._reals, 0)

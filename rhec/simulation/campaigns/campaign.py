@@ -96,11 +96,10 @@ def _driven(scenarios, folder, workers):
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows()
-    keys, unusable = _keys_of(scenarios)
+    keys = [*map(store.scenario_key, scenarios)]
     if rows_folder:
         for kept in store.load_rows(rows_folder, {*keys}):
             rows.add(kept)
-    rows.add(unusable)
     total = len({*keys})
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
     with (
@@ -171,19 +170,6 @@ def _are_equal(values):
     first = values[0]
     text = repr(first)
     return all(value is first or repr(value) == text for value in values)
-
-
-def _keys_of(scenarios):
-    """Return the keys of scenarios, and {key: row} of those without a usable key."""
-    keys = []
-    unusable = {}
-    for scenario in scenarios:
-        try:
-            keys.append(store.scenario_key(scenario))
-        except Exception as error:  # an estimator that cannot be serialised has no key
-            keys.append(f"row {len(keys)}")
-            unusable[keys[-1]] = store.failed_row(_reason(error))
-    return keys, unusable
 
 
 def _interrupted(n_done, total, folder):

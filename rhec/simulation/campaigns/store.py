@@ -14,14 +14,13 @@ import warnings
 from array import array
 from dataclasses import fields, is_dataclass
 
-import casadi as ca
 import numpy as np
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import shown
+from rhec.core.own_step import OwnStep
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
-from rhec.simulation.controller import Controller
 from rhec.tracked_robot import terrain
 
 # Types of nearly all fields of a scenario; their repr is exact to the last bit.
@@ -54,10 +53,8 @@ def scenario_key(scenario):
 
 def _canonical_text(value):
     """Return a text that is unique for a value."""
-    if isinstance(value, ca.Function):
-        return value.serialize()
-    if isinstance(value, Controller):
-        return repr((value.compared_step.key, value.memory))
+    if isinstance(value, OwnStep):
+        return repr((value.key, value.memory))
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):

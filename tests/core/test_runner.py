@@ -1,4 +1,4 @@
-"""The scan of an estimator over recorded measurements is a plain loop over its step."""
+"""What an estimator makes of recorded measurements is a plain loop over its step."""
 
 import casadi as ca
 import numpy as np

@@ -1,0 +1,117 @@
+"""An estimator of one's own, `rhec.Estimator`: what it may take and return, and what it is."""
+
+import dataclasses
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import no_compiler
+
+import rhec
+
+SHORT = rhec.Scenario(duration_s=10.0)
+ONE = (1, 1)
+
+
+def step_of(inputs, results, name="mine"):
+    """A Function with inputs and results of these shapes, the latter all zeros."""
+    inputs = {key: ca.SX.sym(key, *shape) for key, shape in inputs.items()}
+    results = {key: ca.SX(ca.DM.zeros(*shape)) for key, shape in results.items()}
+    names = [*inputs], [*results], {"allow_duplicate_io_names": True}
+    return ca.Function(name, [*inputs.values()], [*results.values()], *names)
+
+
+PLAIN = dict(memory=(6, 1), z=(4, 1)), dict(memory=(6, 1), estimate=(6, 1))
+
+
+def all_knowing():
+    """An oracle in one line."""
+    memory, z, truth = (ca.SX.sym(*of) for of in (("m", 6), ("z", 4), ("truth", 6)))
+    names = ["m", "z", "truth"], ["next_m", "hat"], {"allow_duplicate_io_names": True}
+    return ca.Function("knows", [memory, z, truth], [truth, truth], *names)
+
+
+def test_one_that_is_told_the_truth_drives_as_the_oracle():
+    with no_compiler():
+        own = rhec.simulate(dataclasses.replace(SHORT, estimator=rhec.Estimator(all_knowing())))
+        oracle = rhec.simulate(dataclasses.replace(SHORT, estimator="oracle"))
+    for name in ("x_m", "theta_rad", "x_hat_m", "kappa_hat", "omega_cmd_radps"):
+        np.testing.assert_array_equal(own.columns[name], oracle.columns[name])
+
+
+def test_a_bare_function_is_an_estimator():
+    function = all_knowing()
+    scenario = dataclasses.replace(SHORT, estimator=function)
+    assert scenario.estimator == rhec.Estimator(function)
+    assert scenario == dataclasses.replace(SHORT, estimator=rhec.Estimator(all_knowing()))
+
+
+def test_its_memory_begins_with_the_first_guess_and_then_with_its_numbers():
+    """The numbers are κ here, in two loops of the same code."""
+    memory, z = ca.SX.sym("memory", 8), ca.SX.sym("z", 4)
+    estimate = ca.vertcat(memory[:5], memory[6])
+    step = ca.Function("shows", [memory, z], [memory, estimate])
+    with no_compiler():
+        logs = [
+            rhec.simulate(dataclasses.replace(SHORT, estimator=each)).columns
+            for each in (rhec.Estimator(step), rhec.Estimator(step, (0.7,)), step)
+        ]
+    assert [log["kappa_hat"][-1] for log in logs] == [0.0, 0.7, 0.0]
+    start = rhec.simulate(SHORT).columns
+    for hat, true in (("x_hat_m", "x_m"), ("y_hat_m", "y_m"), ("theta_hat_rad", "theta_rad")):
+        assert logs[0][hat][-1] == start[true][0]
+
+
+def test_it_is_told_the_noise_that_the_scenario_assumes():
+    memory, z, V = ca.SX.sym("memory", 6), ca.SX.sym("z", 4), ca.SX.sym("V", 4)
+    estimate = ca.vertcat(z[:2], memory[2], z[2], ca.sqrt(V[0]), ca.sqrt(V[3]))
+    names = ["memory", "z", "V"], ["memory", "estimate"], {"allow_duplicate_io_names": True}
+    own = rhec.Estimator(ca.Function("told", [memory, z, V], [estimate, estimate], *names))
+    with no_compiler():
+        scenario = dataclasses.replace(SHORT, estimator=own, sigma_v=(0.5, 0.5, 0.1, 0.25))
+        log = rhec.simulate(scenario).columns
+    assert set(log["mu_hat"]) == {0.5} and set(log["kappa_hat"]) == {0.25}
+
+
+def test_a_controller_of_ones_own_takes_its_covariance():
+    results = PLAIN[1] | dict(covariance=(2, 2))
+    own = rhec.Estimator(step_of(PLAIN[0], results))
+    fits, fits_not = (
+        rhec.Controller(step_of(dict(covariance=shape), dict(command=ONE), "steer"))
+        for shape in ((2, 2), (6, 6))
+    )
+    dataclasses.replace(SHORT, estimator=own, controller=fits)
+    with pytest.raises(ValueError, match=r"^step has the input 'covariance' of shape \(6, 6\)"):
+        dataclasses.replace(SHORT, estimator=own, controller=fits_not)
+
+
+def test_equal_estimators_are_equal_in_any_process():
+    own, same = rhec.Estimator(all_knowing()), rhec.Estimator(all_knowing())
+    other = rhec.Estimator(step_of(*PLAIN))
+    again = pickle.loads(pickle.dumps(own))
+    assert own == same == again and hash(own) == hash(again) and own.key == again.key
+    assert own != other and own != "oracle" and len({own, same, again, other}) == 2
+    assert pickle.loads(pickle.dumps(again)).key == own.key
+    assert repr(own) == "Estimator('knows', memory of 0)"
+
+
+@pytest.mark.parametrize(
+    ("inputs", "results", "memory", "sentence"),
+    [
+        (dict(memory=(6, 1)), PLAIN[1], (), "step had 1 inputs and 2 results; it should have"),
+        (PLAIN[0], dict(memory=(6, 1)), (), "step had 2 inputs and 1 results; it should have"),
+        (PLAIN[0] | dict(wind=ONE), PLAIN[1], (), "step has the input 'wind'; it should be one of"),
+        (PLAIN[0], PLAIN[1] | dict(p=ONE), (), "step has the result 'p'; it should be one of"),
+        (PLAIN[0], PLAIN[1] | dict(estimate=(2, 1)), (), "step has the result 'estimate' of shape"),
+        (PLAIN[0], PLAIN[1] | dict(memory=(7, 1)), (), "step has the result 'memory' of shape"),
+        (PLAIN[0] | dict(z=(5, 1)), PLAIN[1], (), "step has the input 'z_N' of shape (5, 1)"),
+        (*PLAIN, (1.0,), "memory had 1 numbers; behind the first guess the memory of step has"),
+        (*PLAIN, ("a",), "memory was ('a',); it should be a sequence of finite numbers"),
+        (*PLAIN, (np.nan,), "memory was (nan,); it should be a sequence of finite numbers"),
+    ],
+)
+def test_what_is_no_estimator_is_refused_in_one_sentence(inputs, results, memory, sentence):
+    with pytest.raises(ValueError) as refused:
+        rhec.Estimator(step_of(inputs, results), memory)
+    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
