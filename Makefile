@@ -39,7 +39,7 @@ studies: $(call executed,$(STUDIES)) ## further studies: claims, faults, recorde
 check-figures: $(READY) ## compare your tables in figures/ with those that this commit made
 	@$(PY) -m docs.site.check_figures
 
-claim: $(READY) ## judge one claim of the paper again: make claim ID=B6
+claim: $(READY) ## judge one claim of the paper again, or list all: make claim ID=B6
 	@$(PY) -m notebooks.claims "$$ID"
 
 report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/

@@ -5,6 +5,7 @@ python -m notebooks.run notebooks/03_scenario_a.ipynb -p seed 7
 
 import argparse
 import ast
+import contextlib
 import difflib
 import json
 import keyword
@@ -155,40 +156,52 @@ def run(notebook, values, output):
         raise _no_such_parameter(name, values[name], declared)
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
+    output.parent.mkdir(parents=True, exist_ok=True)
+    started_ns = time.time_ns()
+    with _environment(notebook, values, output):
+        executed = papermill.execute_notebook(
+            str(notebook),
+            None,
+            values,
+            kernel_name="python3",
+            language="python",
+            cwd=notebook.parent,
+            progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+            extra_arguments=[
+                "--IPKernelApp.log_level=CRITICAL",
+                "--InlineBackend.figure_formats=retina",  # sharp in the report
+                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
+                # Without it, a tenth of the time to draw goes into looking for garbage.
+                "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
+            ],
+        )
+    with replacing(output) as unfinished:
+        nbformat.write(executed, unfinished)
+    # For make, what is edited during the run is newer than its output.
+    os.utime(output, ns=(started_ns, started_ns))
+
+
+@contextlib.contextmanager
+def _environment(notebook, values, output):
+    """A context with the environment that a notebook's kernel inherits; see `run`."""
+    before = dict(os.environ)
     # A linked or copied .venv finds the package of the checkout that it was made in.
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
     os.environ["JUPYTER_PATH"] = f"{sys.prefix}/share/jupyter"  # this interpreter's own kernel
     os.environ["RHEC_NOTEBOOK"] = notebook.name  # for the figures' and tables' files
+    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
     if values:
         os.environ.setdefault("RHEC_FIGURES", str(output.with_suffix("")))
     else:
         made = ROOT / "build/made"  # the list of these files, for `make clean`
         made.parent.mkdir(exist_ok=True)
         os.environ["RHEC_MADE"] = str(made)
-    os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
-    output.parent.mkdir(parents=True, exist_ok=True)
-    started_ns = time.time_ns()
-    executed = papermill.execute_notebook(
-        str(notebook),
-        None,
-        values,
-        kernel_name="python3",
-        language="python",
-        cwd=notebook.parent,
-        progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
-        extra_arguments=[
-            "--IPKernelApp.log_level=CRITICAL",
-            "--InlineBackend.figure_formats=retina",  # sharp in the report
-            "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
-            # Without it, a tenth of the time to draw goes into looking for garbage.
-            "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
-        ],
-    )
-    with replacing(output) as unfinished:
-        nbformat.write(executed, unfinished)
-    # For make, what is edited during the run is newer than its output.
-    os.utime(output, ns=(started_ns, started_ns))
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def main():
