@@ -103,6 +103,7 @@ def test_the_two_oracles_agree_where_both_apply():
 # The nonlinear problems
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_iterated_to_convergence_the_rhe_is_the_optimum_that_ipopt_finds(robot):
     """On 100 random windows, half of them with gaps; where parameters have bounds, at least a third
@@ -141,6 +142,7 @@ def test_a_window_that_fills_up_is_the_least_squares_problem_of_just_its_samples
                 np.testing.assert_allclose(getattr(estimate, part), optimum[part], atol=1e-6)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_iterated_to_convergence_the_rhc_is_the_optimum_that_ipopt_finds(robot):
     """On 100 random instances, at least a third of them with a command at its bound."""
@@ -205,6 +207,7 @@ def test_without_noise_a_robot_is_tracked_exactly(robot):
 # One model, three forms
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_the_fused_step_answers_as_the_live_objects_do(robot):
     """Estimator and controller as one CasADi Function, scanned over a log."""
@@ -290,6 +293,7 @@ def test_the_estimate_has_the_shapes_of_the_model(robot):
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "robot", [each for each in EVERY_ROBOT if np.isfinite(limits(each)).any()], ids=names
 )

@@ -121,6 +121,7 @@ def problem(name):
     return made
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("name", CHOSEN)
 def test_estimators(name):
     """With bounds by a formula or by pivoting, with held inputs; bad samples; runs begun anew."""
@@ -175,6 +176,7 @@ def swing_up_state(k, run):
     return x[k, run], np.zeros((*x[k, run].shape[:-1], 0)), np.zeros((4, 41)), np.zeros((1, 40))
 
 
+@pytest.mark.nightly
 def test_runs_whose_active_set_takes_few_guesses_or_very_many():
     batch = rhec.batch(pendulum_controller(), RUNS)
     assert_same_bits(batch, pendulum_controller, swing_up_state)
@@ -208,6 +210,7 @@ def cart_samples(k, run):
     return x[k, run], p[k, run], np.zeros((2, 6)), np.zeros((1, 5))
 
 
+@pytest.mark.nightly
 def test_controllers_with_constraints():
     batch = rhec.batch(constrained_cart(), RUNS)
     assert_same_bits(batch, constrained_cart, cart_samples)

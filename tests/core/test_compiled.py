@@ -166,6 +166,7 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     assert len(libraries(tmp_path / "cache")) == 3
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_an_edit_compiles_again_only_where_c_is_made(tmp_path):
     package = tmp_path / "rhec"
@@ -310,6 +311,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("how", BROKEN)
 def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, expected, how):

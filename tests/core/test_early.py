@@ -92,6 +92,7 @@ def test_where_nobody_waits_more_loads_are_needed(cache, monkeypatch):
     assert early.load(build_pendulum, 3) is not first
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("fields", [{}, dict(speed_model="slipping")])
 def test_an_optimised_closed_loop_has_the_same_bits(cache, monkeypatch, fields):
     """All other tests compile without optimisation (tests/conftest.py)."""

@@ -34,6 +34,7 @@ def solved_from(mpc, x, u_plan):
     return mpc.u_plan
 
 
+@pytest.mark.nightly
 def test_swing_ups_from_the_same_plan_as_ipopt(virtual_machine):
     """From far away it ends no higher; and where IPOPT ended it stays, though others are cheaper.
 

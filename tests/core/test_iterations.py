@@ -51,6 +51,7 @@ def options_of(model):
 PROBLEM = dict(x=START, p=[], x_ref=np.zeros((6, N + 1)), u_ref=np.zeros((1, N)))
 
 
+@pytest.mark.nightly
 def test_a_double_pendulum_swings_up_as_ipopt_finds(virtual_machine):
     """Full steps from here go round in circles. The first feedback iterates by itself."""
     options = options_of(double_pendulum())
@@ -67,6 +68,7 @@ def test_a_double_pendulum_swings_up_as_ipopt_finds(virtual_machine):
         assert reference.cost(START, GOAL, each.u_plan) <= best.cost * (1 + 1e-6)
 
 
+@pytest.mark.nightly
 def test_each_iteration_lowers_the_cost_at_the_end(virtual_machine):
     """Few iterations are not converged, and more of them are not worse once gaps are closed."""
     options = options_of(double_pendulum())
@@ -80,6 +82,7 @@ def test_each_iteration_lowers_the_cost_at_the_end(virtual_machine):
     assert costs[0] >= costs[1] >= costs[2]
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("arrival_mean", ["smoothed", "filtered"])
 @pytest.mark.parametrize("iterations", [1, 3, 20])
 def test_the_inertia_is_found_however_often_one_iterates(arrival_mean, iterations, virtual_machine):
@@ -94,6 +97,7 @@ def test_the_inertia_is_found_however_often_one_iterates(arrival_mean, iteration
         assert mhe.ok and (iterations == 1 or mhe.kkt >= 0)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("arrival_mean", ["smoothed", "filtered"])
 @pytest.mark.parametrize("options", [dict(rule="radau5", steps=2), dict(rule="radau3", steps=3)])
 def test_the_inertia_is_found_by_implicit_rules(arrival_mean, options, virtual_machine):

@@ -314,6 +314,7 @@ def test_feedback_without_preparation_is_refused():
 # The arrival cost
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
 @pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
@@ -362,6 +363,7 @@ def test_the_covariance_stays_symmetric_and_positive_definite(process_noise, spe
 # Sensors that are silent, or lie
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_a_missing_reading_is_a_term_left_out(speed_model):
     rng, phases = np.random.default_rng(9), build_phases(speed_model)

@@ -41,6 +41,7 @@ def at_a_bound(robot, states):
 
 
 # First: from its first use on, the fixture `virtual_machine` takes the compiler away.
+@pytest.mark.nightly
 def test_runs_of_a_batch_are_single_objects():
     """To the last bit, iterated and not, with noise in the window and absurd samples."""
     rng, runs = np.random.default_rng(1), 3

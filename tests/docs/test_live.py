@@ -52,6 +52,7 @@ def test_the_first_memory_is_affine_in_the_start(name):
     np.testing.assert_allclose(memory, expected, atol=1e-12)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
 def test_errors_are_those_of_the_run(own):
     run = rhec.simulate(rhec.Scenario(duration_s=120.0, **own))

@@ -243,6 +243,7 @@ def in_python(scenario, measurements):
 # Its answers equal Python's
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "name, on",
     [*((name, "this machine") for name in SCENARIOS), ("paper", "Arm"), ("faults", "Arm")],
@@ -810,6 +811,7 @@ def inputs_of(robot, samples, seed=4):
     return z, references
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("robot", EVERY_ROBOT.values(), ids=EVERY_ROBOT)
 def test_a_models_export_answers_as_the_live_objects(robot, tmp_path):

@@ -50,6 +50,7 @@ class InC:
         return answer, status
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_each_estimate_of_stiff_masses_is_finite_and_equal_to_pythons(tmp_path):
     """Ten seeds, 60 estimates each; one Runge-Kutta step would multiply an error by 291."""

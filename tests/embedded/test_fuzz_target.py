@@ -7,6 +7,8 @@ from fuzz import __main__ as fuzz
 
 import rhec
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):

@@ -137,6 +137,7 @@ def test_the_explorer_offers_every_estimator_it_can_draw(made):
 # The widget
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("start", STARTS)
 def test_widgets_begin_at_the_start_scenario(start):
     assert rhec.Explorer(replace(start, duration_s=20.0), None).scenarios == [
@@ -437,6 +438,7 @@ print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
     """Nor does either import Matplotlib, or draw the picture for pages without widgets."""
@@ -494,6 +496,7 @@ def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     assert optimised == [2]
 
 
+@pytest.mark.nightly
 def test_a_new_structure_says_that_it_compiles_then_runs(made, monkeypatch, tmp_path):
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path))  # nothing is compiled there
     sent = []

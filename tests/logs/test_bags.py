@@ -193,6 +193,7 @@ REMEDIES = dict(
 )
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.9])
 def test_a_bag_that_was_cut_off_is_refused_with_the_command_that_repairs_it(tmp_path, kind, share):

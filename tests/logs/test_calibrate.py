@@ -30,6 +30,7 @@ def calibrated():
     return {noise: (log, rhec.calibrate(log)) for noise, log in logs.items()}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("noise_m", [0.03, 0.1])
 def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
     _, found = calibrated[noise_m]
@@ -45,6 +46,7 @@ def test_hubers_loss_shrinks_a_deviation_as_the_report_corrects():
     assert np.minimum(u**2, OUTLIER * u).mean() == pytest.approx(2, rel=3e-3)
 
 
+@pytest.mark.nightly
 def test_positions_are_never_taken_to_be_better_than_receivers_are():
     """Positions of a log may have been smoothed; what is wrong with them then is no slip."""
     found = rhec.calibrate(recorded_log(5.0, 60.0, arm_m=ARM_M))
@@ -87,6 +89,7 @@ def wandered():
     return log, rhec.calibrate(log, trust_log=True)
 
 
+@pytest.mark.nightly
 @may_be_lost
 def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
     """The log's encoders are exact; wandering positions are noisy ones, if far apart."""
@@ -103,12 +106,14 @@ def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.nightly
 def test_what_the_receiver_declares_is_the_least_noise(wandered):
     log, _ = wandered
     found = rhec.calibrate(log.assign(position_sigma_m=0.8), trust_log=True)
     assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
 
 
+@pytest.mark.nightly
 def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
     """Positions hidden for ten seconds judge it: here one that trusts no encoder."""
     log, found = calibrated[0.03]
@@ -122,6 +127,7 @@ def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
     assert "sigma_v" not in spoilt and "defaults are kept" in spoilt.remarks[-1]
 
 
+@pytest.mark.nightly
 def test_calibration_does_not_look_at_the_truth(calibrated):
     log, found = calibrated[0.03]
     truth = log.columns[log.columns.str.contains("true")]

@@ -121,6 +121,7 @@ def test_a_healthy_log_has_no_findings(log):
     assert diagnosis.ok, str(diagnosis)
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defect_is_named(defect):
     code, log, arguments = DEFECTS[defect]

@@ -185,6 +185,7 @@ def test_sensors_that_a_replay_cannot_use_are_refused(arguments, words):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.nightly
 def test_calibration_finds_the_noise_of_a_gyro():
     found = rhec.calibrate(with_gyro(sigma=0.03, log=recorded_log(5.0, 120.0, noise_m=0.03)))
     told = found.report.loc["noise of the gyro"]

@@ -83,6 +83,7 @@ def calibrated():
     return rhec.calibrate(log.assign(gyro_radps=1.02 * log["yaw_rate_true_radps"] + 0.03 + noise))
 
 
+@pytest.mark.nightly
 def test_a_calibration_speaks_of_multipliers(calibrated):
     terms = calibrated.terms
     truth = {

@@ -68,6 +68,7 @@ def test_a_receiver_without_a_fix_gives_no_origin(tmp_path):
     assert log["y_m"].abs().max() < 100
 
 
+@pytest.mark.nightly
 def test_files_too_large_for_a_log_are_refused(tmp_path):
     file = tmp_path / "wide.csv"
     file.write_text(",".join(f"c{i}" for i in range(20_000)) + "\n")

@@ -74,6 +74,7 @@ def test_w_by_tracking_is_found_within_its_bounds_wherever_the_least_error_is(
     assert {scenario.sigma_v is not None for scenario in driven} == {estimator == "rhe"}
 
 
+@pytest.mark.nightly
 def test_the_tracking_error_is_the_mean_of_single_runs():
     fields = dict(estimator="ekf", duration_s=30.0)
     alone = [rhec.simulate(rhec.Scenario(seed=s, **fields)) for s in (1000, 1001)]

@@ -138,6 +138,7 @@ def test_one_object_serves_all_seeds_and_is_equal_to_another_of_the_same_fields(
     assert cautious.controller(plain) != cautious.controller(slower)
 
 
+@pytest.mark.nightly
 def test_the_live_loop_is_the_fused_one():
     run = rhec.simulate(DRIVE)
     robot = LiveRobot(DRIVE)
@@ -163,6 +164,7 @@ def test_the_live_loop_is_the_fused_one():
     assert run.log["nu_mps"].min() < 0.45  # it did slow down
 
 
+@pytest.mark.nightly
 def test_on_a_wet_patch_it_is_slow_and_stays_nearer():
     """κ halves where the row turns; beside it, the same drive at a constant speed."""
     patch = dict(patches=((36.0, 4.0, 3.0, 0.9, 0.35),), duration_s=120.0, seed=1)

@@ -86,6 +86,7 @@ def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(run
     assert told.states == ("x", "y", "θ", "ν") and told.errors.shape == (3, 300, 4)
 
 
+@pytest.mark.nightly
 def test_the_rhe_is_measured_in_all_its_states(runs):
     rhe = consistency.measure(Scenario(), runs)
     assert rhe.errors.shape == (

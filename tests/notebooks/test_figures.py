@@ -143,6 +143,7 @@ def words(figure):
     )
 
 
+@pytest.mark.nightly
 def test_axes_are_labelled_with_units(drawn):
     for name, figure in drawn.items():
         assert isinstance(figure, Figure)

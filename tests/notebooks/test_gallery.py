@@ -21,6 +21,7 @@ def test_a_problem_takes_fifteen_lines_at_most(define):
     assert len(lines) <= 16, len(lines)  # with what is left of the docstring's line
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("define", CONTROL)
 def test_plans_cost_what_those_of_ipopt_cost(define):
     problem = define()
@@ -31,6 +32,7 @@ def test_plans_cost_what_those_of_ipopt_cost(define):
     assert len(controlled(problem, drive).axes) == 2
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("define", CONSTRAINED)
 def test_constrained_plans_cost_what_those_of_ipopt_cost(define):
     """The hard bounds are kept in closed loop, in which one or more are active."""
@@ -45,6 +47,7 @@ def test_constrained_plans_cost_what_those_of_ipopt_cost(define):
     assert len(controlled(problem, drive, states=names[:1]).axes) == 2
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("discrete, cost", [(True, 103.36), (False, 101.81)])
 def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
     """Within a hundredth; the numbers are those of IPOPT at each sample, without the start."""
@@ -57,6 +60,7 @@ def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
     assert len(around_the_obstacle(problem, drive).axes) == 2
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("define", ESTIMATION)
 def test_windows_are_solved_as_by_ipopt(define):
     problem = define()

@@ -94,6 +94,7 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
     assert refusal.value._render_traceback_() == [f"ParameterError: {sentence}"]
 
 
+@pytest.mark.nightly
 @settings(deadline=None)  # checks are built anew each time
 @given(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
@@ -197,6 +198,7 @@ style.save(Figure(), "mine", folder="mine")
 """
 
 
+@pytest.mark.nightly
 def test_a_notebook_runs_in_its_folder_and_what_it_saves_is_listed(tmp_path):
     """For `make clean`, which leaves what a user saved in another folder."""
     left_out = shutil.ignore_patterns("__pycache__")

@@ -48,6 +48,7 @@ def test_faults_of_a_log_are_scored(log):
     assert worst_m["none"] < worst_m["outliers"] and (means["outside"] == 0).all()
 
 
+@pytest.mark.nightly
 def test_faults_are_shown_with_one_row_a_case():
     runs, _ = faults.study(
         rhec.Scenario(), [0, 1], faults._ESTIMATORS, {"none": faults.CASES["none"]}

@@ -73,6 +73,7 @@ def replay_faults():
 DRAWN = (positions, parameters, commands, tolerances, ekf_yaw, replay_faults)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
 def test_texts_of_a_figure_are_whole_and_apart(draw):
     assert text_defects(draw()) == []

@@ -47,6 +47,7 @@ def table():
         return tolerance.drive(dict(default=12, uncertain=6))
 
 
+@pytest.mark.nightly
 def test_fields_are_counted_and_the_verdict_needs_share_and_speed(table):
     whole = table[table["promise"] == tolerance.PROMISES["whole"]]
     whole = whole.set_index(["world", "loop", "speed"]).sort_index()

@@ -10,6 +10,8 @@ from notebooks.further.recorded import scores
 from rhec.logs.replay import predictor
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
+pytestmark = pytest.mark.nightly
+
 
 def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
     """α of both tracks is μ; they roll about ±b/2 · μ/κ."""

@@ -50,6 +50,7 @@ def test_the_search_finds_the_minimum():
     assert error < 0.02
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("loop", ["bounded_ekf", "pure_pursuit"])
 def test_the_error_is_the_mean_of_single_runs(loop, monkeypatch):
     monkeypatch.setattr(tune_loops, "TRAINING_SEEDS", (1000, 1001))

@@ -22,6 +22,8 @@ from benchmark import (
     tails,
 )
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def run():

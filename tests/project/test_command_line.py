@@ -71,6 +71,7 @@ def test_names_of_columns(capsys, log_file):
     assert "OURS=THEIRS" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_calibration_is_that_of_python(capsys, tmp_path):
     log = tmp_path / "drive.csv"
     recorded_log(duration_s=30.0, noise_m=0.02).to_csv(log, index=False)
@@ -81,6 +82,7 @@ def test_a_calibration_is_that_of_python(capsys, tmp_path):
     assert file.read_text() == found.yaml
 
 
+@pytest.mark.nightly
 def test_an_export_is_that_of_python(capsys, tmp_path):
     assert main(["export", str(tmp_path / "one"), *SHORT]) == 0
     rhec.export(rhec.Scenario(duration_s=8), tmp_path / "two")

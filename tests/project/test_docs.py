@@ -100,6 +100,7 @@ def test_the_code_of_the_readme_runs(tmp_path, monkeypatch):
     assert len(there["estimates"]) == len(there["run"].log)
 
 
+@pytest.mark.nightly
 def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     there = {}

@@ -201,6 +201,7 @@ def modules_after(statement):
     return set(done.stdout.split())
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("name", ["Model", "RHE", "RHC", "EKF"])
 def test_the_core_stands_alone(name):
     """Neither a robot nor tables nor pictures come with what any robot needs."""
@@ -214,6 +215,7 @@ def test_without_a_model_the_estimator_is_the_papers():
     assert "rhec.tracked_robot.rhe" in modules_after("rhec.RHE(horizon=2)")
 
 
+@pytest.mark.nightly
 def test_a_run_needs_neither_tables_nor_pictures():
     loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
     assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython", "notebooks"})
@@ -231,6 +233,7 @@ def packed(tree):
                     yield node.lineno
 
 
+@pytest.mark.nightly
 def test_a_line_holds_one_statement():
     files = sorted((ROOT / "rhec").rglob("*.py"))
     trees = {file: ast.parse(file.read_text(encoding="utf-8")) for file in files}

@@ -13,6 +13,8 @@ from failing_disk import DIED, TASKS
 
 from rhec.core._casadi import compiled
 
+pytestmark = pytest.mark.nightly
+
 HERE = Path(__file__).parents[1]
 
 

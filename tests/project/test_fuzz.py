@@ -26,7 +26,7 @@ from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import LOG
 from rhec.tracked_robot import own_loop
 
-pytestmark = pytest.mark.usefixtures("virtual_machine")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("virtual_machine")]
 N = paper.HORIZON
 
 

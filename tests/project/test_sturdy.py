@@ -153,6 +153,7 @@ raise RuntimeError("as if interrupted")
 """
 
 
+@pytest.mark.nightly
 @needs_make
 def test_clean_knows_what_an_interrupted_notebook_made(checkout):
     for package in ("rhec", "notebooks"):

@@ -13,6 +13,8 @@ from packaging.requirements import Requirement
 
 import rhec
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parents[2]
 PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
 SCENARIO = dict(duration_s=20.0, process_noise="likelihood", seed=3)

@@ -428,6 +428,7 @@ def worker_processes():
     return [child for child in children if "popen_loky" in " ".join(child.cmdline())]
 
 
+@pytest.mark.nightly
 def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_its_error(
     tmp_path, monkeypatch
 ):
@@ -654,6 +655,7 @@ def worker(start, address, folder, **environment):
     )
 
 
+@pytest.mark.nightly
 def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, monkeypatch):
     """A scheduler and two workers, one of which compiles for itself. Nothing of the campaign's own
     process lies in a folder that others could have made.
@@ -715,6 +717,7 @@ def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
         rhec.campaign(short())
 
 
+@pytest.mark.nightly
 def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     address = scheduler(started, tmp_path)
     its_process = started.processes[0]
@@ -850,6 +853,7 @@ def left_of_group(group):
     return [process for process in left if process.info["status"] != psutil.STATUS_ZOMBIE]
 
 
+@pytest.mark.nightly
 def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
     """The terminal sends the signal to the workers, too."""
     arguments = ["-p", "estimator", "ekf", "-p", "duration_s", "60", "--seeds", "3000"]

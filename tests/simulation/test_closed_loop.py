@@ -95,6 +95,7 @@ LIVE = """x_m y_m theta_rad mu kappa yaw_drift_radpm
     kkt_rhc""".split()
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "changes",
     [

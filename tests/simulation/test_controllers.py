@@ -108,6 +108,7 @@ def test_it_can_be_read():
     assert "steer" in json.loads(style._as_json(OWN))["controller"]["step"]
 
 
+@pytest.mark.nightly
 def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path, monkeypatch):
     scenarios = [
         dataclasses.replace(OWN, seed=seed, controller=own_controller(PLAIN, gain))

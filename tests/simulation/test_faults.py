@@ -258,6 +258,7 @@ CASES = {
 }
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("family, name", CASES)
 def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
     """`notebooks/further/faults.ipynb` shows how well it drives."""
@@ -283,6 +284,7 @@ def test_a_response_follows_from_the_errors():
     assert not fault_study.response(wild, 10.0, 12.0)["in_bounds"]
 
 
+@pytest.mark.nightly
 def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
     cases = {
         family: dict(list(fault_study.CASES[family].items())[:2]) for family in ("outage", "start")

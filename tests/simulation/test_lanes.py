@@ -90,6 +90,7 @@ LOADS = {name: (kind, lanes.load) for name, kind in KINDS.items()}
 LOADS |= {f"{name}, as in use": (KINDS[name], load_as_in_use) for name in ("rhe", "own")}
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize(("kind", "load"), LOADS.values(), ids=LOADS)
 def test_every_estimator_has_the_same_bits_in_a_lane(kind, load):
     scenarios = [*unlike(kind)]

@@ -68,6 +68,7 @@ def test_other_random_streams_stay_as_they_are():
     np.testing.assert_array_equal(alone, first)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
 def test_sensors_that_never_deliver_leave_the_estimate_as_it_is(speed_model):
     """Up to rounding: the equations of a silent sensor have no weight."""
@@ -205,6 +206,7 @@ def test_without_a_compiler_the_results_are_the_same():
     np.testing.assert_allclose(slow, compiled, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
 def test_the_live_estimator_equals_the_closed_loop(speed_model):
     run = changed(speed_model=speed_model, duration_s=20.0)

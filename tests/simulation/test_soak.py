@@ -15,6 +15,8 @@ import rhec
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS
 
+pytestmark = pytest.mark.nightly
+
 BASE = rhec.Scenario()
 
 

@@ -64,6 +64,7 @@ def test_arc_length_yaw_and_curvature_belong_together(name):
     )
 
 
+@pytest.mark.nightly(keep=1)
 @every_path
 def test_the_projection_is_the_closest_of_finely_sampled_points(name):
     path = PATHS[name]

@@ -108,6 +108,7 @@ def test_a_file_that_would_run_code_is_refused(tmp_path):
         rhec.Terrain.load(tmp_path / "field.npz")
 
 
+@pytest.mark.nightly
 def test_a_file_that_would_unpack_to_gigabytes_is_refused_before_it_is(tmp_path, monkeypatch):
     """A few megabytes in the file, three gigabytes in memory."""
     header = io.BytesIO()
