@@ -21,7 +21,7 @@ from rhec.tracked_robot.terrain import Terrain
 
 SEEDS = range(100, 110)  # neither the tutorial nor calibration uses these
 SETTLED_S = 13.0
-OVERSHOOT_M = 0.08
+OVERSHOOT_M = 0.06
 DRY = (0.9, 0.8)
 WET = (0.6, 0.5)
 STRIP_M = (20.0, 25.0)  # the wet strip of the terrain exercise: from x to x

@@ -32,6 +32,19 @@ def no_compiler():
         yield
 
 
+class Untraceable(rhec.Path):
+    """A path on which every run fails."""
+
+    def poses(self, s):
+        raise ValueError("this path cannot be traced")
+
+
+def untraceable():
+    """A path that a Scenario takes and that no run can follow."""
+    track = rhec.Path.racetrack(30.0, 7.8)
+    return Untraceable(track.segments, track.length_m, True)
+
+
 # Any robot of `robots`
 
 

@@ -100,15 +100,15 @@ def _first_row(run):
 
 
 @styled
-def trajectories_q(runs, table):
+def trajectories_q(runs, table=None):
     """Draw Figure 6: trajectories on the first row from an offset start, and true errors over time.
 
     A dot marks the settling time, after which the true error stays within 0.12 m for 5 s. The title
-    says whether these drives come in the order of the mean over many fields.
+    says whether these drives come in the order of the mean over many fields, if that is known.
 
     Args:
         runs: {yaw weight: Run}, weights "Q1", "Q2", "Q2, look-ahead" or "Q3".
-        table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
+        table: Table of `notebooks.studies.scenario_tables.scenario_a_table`, or None.
     """
     figure, (plane, time) = plt.subplots(2, figsize=(COLUMN_IN, 4.2))
     first = next(iter(runs.values()))
@@ -130,7 +130,8 @@ def trajectories_q(runs, table):
     end_s = max(log["t_s"].iloc[-1] for log in rows.values())
     time.set(xlim=(0, 1.02 * end_s), ylim=0, xlabel="time [s]  (dots: settling time)")
     time.set_ylabel("true error [m]")
-    plane.set(xlabel="$x$ [m]", title=f"First row: {_title(first)}\n{_order(runs, table)}")
+    order = "" if table is None else f"\n{_order(runs, table)}"
+    plane.set(xlabel="$x$ [m]", title=f"First row: {_title(first)}{order}")
     figure.legend(loc="outside lower center", ncols=3)
     figure.draw_without_rendering()
     plane.set_ylabel(f"$y$ [m], stretched × {_stretch(plane):.0f}")

@@ -248,7 +248,8 @@ def box_of(scenario, path):
     x_min, x_max, y_min, y_max = path.box
     margin = _MARGIN_M + abs(scenario.start_offset_m)
     box = x_min - margin, x_max + margin, y_min - margin, y_max + margin
-    length, width = box[1] - box[0], box[3] - box[2]
+    length = box[1] - box[0]
+    width = box[3] - box[2]
     if not np.ceil(length / _CELL_M) * np.ceil(width / _CELL_M) <= _MOST_CELLS:
         names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m"]
         given = ", ".join(f"{name} {shown(getattr(scenario, name))}" for name in names)

@@ -26,7 +26,7 @@ import psutil
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from helpers import own_controller
+from helpers import own_controller, untraceable
 
 import rhec
 from rhec.core._casadi import compiled
@@ -34,8 +34,7 @@ from rhec.simulation.campaigns import batch, store, workers
 from rhec.simulation.campaigns import campaign as campaigns
 
 SHORT = rhec.Scenario(estimator="ekf", duration_s=6.0)
-# It begins so far from its path that its field would be too large.
-TOO_FAR = dataclasses.replace(SHORT, start_offset_m=1e6)
+BROKEN = dataclasses.replace(SHORT, path=untraceable())
 ROOT = Path(rhec.__file__).parents[1]
 
 
@@ -129,9 +128,8 @@ def test_equal_scenarios_run_once(ran):
 
 def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     compiler = compiled.compiler()
-    broken = TOO_FAR
-    other = dataclasses.replace(TOO_FAR, seed=1)
-    table = rhec.campaign([SHORT, broken, other, *short(2)])
+    other = dataclasses.replace(BROKEN, seed=1)
+    table = rhec.campaign([SHORT, BROKEN, other, *short(2)])
     good, metrics = table["error"] == "", set(store.failed_row("")) - {"error"}
     assert list(good) == [True, False, False, True, True]
     assert (
@@ -139,7 +137,7 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
         and not table.loc[~good, "all_ok"].any()
     )
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
-    assert table.loc[1, "start_offset_m"] == broken.start_offset_m
+    assert table.loc[1, "start_offset_m"] == BROKEN.start_offset_m
     assert compiled.compiler() == compiler  # it is not to blame
     assert_equal_rows(table[good], rhec.campaign([SHORT, *short(2)]))
 
@@ -214,8 +212,7 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch):
 
 
 def test_a_resumed_campaign_has_the_types_of_a_fresh_one(tmp_path):
-    broken = TOO_FAR
-    for scenarios in (short(), [*short(2), broken]):
+    for scenarios in (short(), [*short(2), BROKEN]):
         fresh = rhec.campaign(scenarios, tmp_path)
         pd.testing.assert_frame_equal(rhec.campaign(scenarios, tmp_path), fresh, check_exact=True)
         assert fresh.dtypes.equals(rhec.campaign(scenarios).dtypes)
@@ -415,7 +412,7 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         dataclasses.replace(SHORT, estimator=own_estimator()),
         dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
         dataclasses.replace(SHORT, duration_s=0.2),
-        TOO_FAR,
+        BROKEN,
     ]
     here = rhec.campaign(scenarios)
     for number in (1, 2):

@@ -34,7 +34,8 @@ def test_a_world_is_what_differs_from_the_default(name):
 
 def test_runs_of_the_simple_world_are_what_they_are():
     """Poses after 20 s and 59.8 s, as they were recorded."""
-    log = rhec.simulate(rhec.Scenario(**SIMPLE_WORLD, duration_s=60.0)).log
+    scenario = rhec.Scenario(**SIMPLE_WORLD, arrival_mean="smoothed", duration_s=60.0)
+    log = rhec.simulate(scenario).log
     poses = [
         [9.057221325003816, 0.04861727825686246, 0.020332184396793324],
         [26.760545977761332, -0.06335782519152527, -0.04138414162906666],
