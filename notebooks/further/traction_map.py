@@ -218,41 +218,50 @@ def _in_order(names):
 
 
 def rule_in_words(table):
-    """When estimating the traction pays, as sentences in Markdown.
+    """When estimating the traction pays, as sentences and a table in Markdown.
 
     Args:
         table: Of `worth_map`.
     """
-    counted = counts(table).set_index(["control", "told"])
-    tuned = counted.loc["R tuned"]
+    counted = counts(table).set_index(["control", "told"]).loc["R tuned"]
     by_control = table.drop_duplicates(["kappa", "variation", "control"])
     errors = by_control.pivot(index=["kappa", "variation"], columns="control", values="error_m")
     driven = errors[errors["R tuned"] < paper.TOLERANCE_M]
     gain = 1 - np.exp(np.log(driven["R tuned"] / driven["R = 10"]).mean())
-    paid = [_in_words(told) for told, row in tuned.iterrows() if row["ratio"] < _PAYS]
-    if paid:
-        rule = f"**Then estimating the traction pays against {', and against '.join(paid)}.**"
-    else:
-        rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
+    tuned = table[(table["control"] == "R tuned") & (table["error_m"] < paper.TOLERANCE_M)]
+    paid = counted[counted["pays"] > 0]
+    rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
+    if len(paid):
+        highest = tuned.loc[tuned["high"] < _PAYS, "kappa"].max()
+        rivals = ", ".join(
+            f"{_in_words(told)} ({row['pays']:.0f} of {row['soils']:.0f} soils)"
+            for told, row in paid.iterrows()
+        )
+        rule = (
+            f"**Then estimating the traction takes off more than 10 % only where the mean κ is "
+            f"{highest:g} or less, and only against wrong constants**: {rivals}. Against the right "
+            f"constants the error is {counted.loc[str(0.0), 'ratio']:.2f} times theirs."
+        )
     return (
-        f"**Tune R first:** that takes {100 * gain:.0f} % off the error of a robot that estimates, "
-        f"on the {len(driven)} of {len(errors)} soils that it can drive. {rule} With R tuned:\n\n"
-        + to_markdown(_beside(tuned))
+        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
+        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
+        f"the {len(driven)} of {len(errors)} soils that it can drive. {rule}\n\n"
+        + to_markdown(_by_soil(tuned))
     )
 
 
-def _beside(tuned):
-    """What estimating is worth against each rival, as a table of texts."""
-    rows = {
-        "error with estimated traction over the rival's, mean over soils": tuned["ratio"].map(
-            "{:.2f}".format
-        ),
-        "soils on which estimating takes off more than 10 %": tuned["pays"].astype(str)
-        + " of "
-        + tuned["soils"].astype(str),
-    }
-    table = pd.DataFrame(rows).T.rename(columns=_in_words)
-    return table.rename_axis("the rival has").reset_index()
+def _by_soil(tuned):
+    """The worth of estimating by the soil's mean κ and by what the rival is told, as texts.
+
+    It is the geometric mean over the variations of κ. A rival is told no κ above 1.
+    """
+    worth = np.log(tuned.set_index(["kappa", "told"])["mean"]).groupby(level=[0, 1]).mean()
+    worth = np.exp(worth).unstack()[[*map(str, ERRORS), NO_SLIP]].sort_index(ascending=False)
+    texts = worth.map(lambda ratio: "–" if np.isnan(ratio) else f"{ratio:.2f}")
+    texts = texts.rename(columns=_in_words)
+    soils = tuned.drop_duplicates(["kappa", "variation"])["kappa"].value_counts()
+    texts.index = [f"{kappa:g} ({soils[kappa]})" for kappa in texts.index]
+    return texts.rename_axis("mean κ (soils)").reset_index()
 
 
 def _in_words(told):
@@ -261,5 +270,5 @@ def _in_words(told):
         return NO_SLIP
     error = float(told)
     if not error:
-        return "the right constants"
-    return f"constants too {'high' if error > 0 else 'low'} by {abs(error):g}"
+        return "the right κ"
+    return f"κ too {'high' if error > 0 else 'low'} by {abs(error):g}"

@@ -42,11 +42,13 @@ def lines(errors):
 
 def test_the_papers_own_numbers_are_met_in_its_order_by_every_rule():
     said = lines(AS_IN_THE_PAPER)
-    assert said["The numbers"].startswith("for the RHE yes in the mean, yes for one drive.")
-    assert "0.0423 m" in said["The numbers"] and "0.0514 m as printed (met)" in said["The numbers"]
+    assert said["The RHE's mean error"].startswith("yes.")
+    assert "0.0423 m, within" in said["The RHE's mean error"]
+    assert said["The EKF's mean error"].startswith("as printed: met.")
+    assert "0.0514 m as printed (met)" in said["The EKF's mean error"]
     assert said["RHE before EKF"].startswith("yes, by every rule")
-    assert said["The cause"].startswith("the traction may be it")
-    assert said["The EKF as printed"].startswith("it can be driven")
+    assert said["What decides it"].startswith("perhaps the traction")
+    assert answer.in_short(scenario_b(AS_IN_THE_PAPER)).startswith("Yes.")
 
 
 def test_other_numbers_are_answered_otherwise():
@@ -54,14 +56,17 @@ def test_other_numbers_are_answered_otherwise():
         AS_IN_THE_PAPER, printed=(0.08, 1.3), likelihood=(0.06, 0.05), tracking=(0.02, 0.021)
     )
     said = lines(other)
-    assert said["The numbers"].startswith("for the RHE no in the mean, yes for one drive.")
+    assert said["The RHE's mean error"].startswith("no.")
+    assert said["The EKF's mean error"].startswith("not as printed.")
+    assert "loses its heading" in said["The EKF's mean error"]
     assert said["RHE before EKF"].startswith("it depends on the rule")
     assert "by likelihood: does not hold, 0.0600 against 0.0500 m" in said["RHE before EKF"]
     assert "As printed: the EKF is lost;" in said["RHE before EKF"]
-    assert said["The cause"].startswith("mostly W, that is the gain on the heading")
-    assert said["The EKF as printed"].startswith("it cannot be what was driven")
+    assert said["What decides it"].startswith("W, more than the traction")
+    assert answer.in_short(scenario_b(other)).startswith("In part.")
     reversed_ = {noise: (0.06, 0.05) for noise in PROCESS_NOISES}
     assert lines(reversed_)["RHE before EKF"].startswith("no, by none")
+    assert answer.in_short(scenario_b(reversed_)).startswith("No.")
 
 
 def test_the_table_names_what_is_met_possible_and_lost(tmp_path):
