@@ -52,7 +52,7 @@ def ekf_yaw():
     )
     log = dict(t_s=TIME_S, theta_hat_rad=0.1 * RNG.normal(size=100), theta_rad=0 * TIME_S)
     runs = dict.fromkeys((10.0, 1.0, 0.02), type("Run", (), dict(columns=log)))
-    return interpretations.ekf_yaw(analysis, sweep, runs, printed=10.0, calibrated=0.02)
+    return interpretations.ekf_yaw(analysis, sweep, runs, printed=10.0, likelihood=0.02)
 
 
 def interpretations_table(sigma_x_m):
