@@ -203,8 +203,8 @@ def simulate_setup(scenario, setup):
 def finish_all(scenarios, setups, logs):
     """The Runs of these scenarios, from the rows that their loops yielded.
 
-    Runs on one path are projected on it at once, because NumPy spends most of its time on a short
-    array in the call. Each Run has the bits that it has alone.
+    Runs on one path are projected on it at once, because NumPy spends most of its time in
+    the calls where arrays are short. Each Run has the bits that it has alone.
 
     Args:
         scenarios: The Scenarios.
@@ -220,7 +220,10 @@ def finish_all(scenarios, setups, logs):
         on_path.setdefault(id(setup.path), []).append(place)
     poses = {}
     for places in on_path.values():
-        poses |= zip(places, _add_errors(setups[places[0]].path, [columns[k] for k in places]))
+        found = _relative_to_path(setups[places[0]].path, [columns[k] for k in places])
+        for k, (of_path, poses_of_path) in zip(places, found):
+            columns[k] |= of_path
+            poses[k] = poses_of_path
     return [
         Run(scenario, metrics(columns[k], poses[k]), setup.path, setup.terrain, columns[k])
         for k, (scenario, setup) in enumerate(zip(scenarios, setups))
@@ -234,11 +237,12 @@ def _columns_of(scenario, rows):
     return columns | {name: columns[name] == 1 for name in FLAGS}
 
 
-def _add_errors(path, runs):
-    """Add to the columns of runs their distances to the path, and where it is straight.
+def _relative_to_path(path, runs):
+    """Where runs, given as columns by name, are relative to the path that they share.
 
     Returns:
-        The poses of the path (n, 3) at the points closest to each robot.
+        A list with two entries for each run: the columns that need the path, by name; and the poses
+        of the path (n, 3) at the points closest to the robot.
     """
     lengths = [len(columns["t_s"]) for columns in runs]
     measured, true = (
@@ -252,8 +256,7 @@ def _add_errors(path, runs):
     errors, true_errors = np.split(distance, 2)
     ends = np.cumsum(lengths)[:-1]
     parts = (np.split(values, ends) for values in (errors, true_errors, curvatures == 0, poses))
-    found = []
-    for columns, error, true_error, on_straight, pose in zip(runs, *parts):
-        columns |= dict(error_m=error, error_true_m=true_error, on_straight=on_straight)
-        found.append(pose)
-    return found
+    return [
+        (dict(error_m=error, error_true_m=true_error, on_straight=on_straight), poses_of_run)
+        for error, true_error, on_straight, poses_of_run in zip(*parts)
+    ]
