@@ -220,10 +220,7 @@ def finish_all(scenarios, setups, logs):
         on_path.setdefault(id(setup.path), []).append(place)
     poses = {}
     for places in on_path.values():
-        found = _relative_to_path(setups[places[0]].path, [columns[k] for k in places])
-        for k, (of_path, poses_of_path) in zip(places, found):
-            columns[k] |= of_path
-            poses[k] = poses_of_path
+        poses |= zip(places, _add_errors(setups[places[0]].path, [columns[k] for k in places]))
     return [
         Run(scenario, metrics(columns[k], poses[k]), setup.path, setup.terrain, columns[k])
         for k, (scenario, setup) in enumerate(zip(scenarios, setups))
@@ -237,12 +234,11 @@ def _columns_of(scenario, rows):
     return columns | {name: columns[name] == 1 for name in FLAGS}
 
 
-def _relative_to_path(path, runs):
-    """Where runs, given as columns by name, are relative to the path that they share.
+def _add_errors(path, runs):
+    """Add to the columns of runs their distances to the path, and where it is straight.
 
     Returns:
-        A list with two entries for each run: the columns that need the path, by name; and the poses
-        of the path (n, 3) at the points closest to the robot.
+        The poses of the path (n, 3) at the points closest to each robot.
     """
     lengths = [len(columns["t_s"]) for columns in runs]
     measured, true = (
@@ -256,7 +252,8 @@ def _relative_to_path(path, runs):
     errors, true_errors = np.split(distance, 2)
     ends = np.cumsum(lengths)[:-1]
     parts = (np.split(values, ends) for values in (errors, true_errors, curvatures == 0, poses))
-    return [
-        (dict(error_m=error, error_true_m=true_error, on_straight=on_straight), poses_of_run)
-        for error, true_error, on_straight, poses_of_run in zip(*parts)
-    ]
+    found = []
+    for columns, error, true_error, on_straight, pose in zip(runs, *parts):
+        columns |= dict(error_m=error, error_true_m=true_error, on_straight=on_straight)
+        found.append(pose)
+    return found

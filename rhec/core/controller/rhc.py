@@ -341,8 +341,8 @@ class RHC(RealTimeLoop):
 
     def _start(self):
         # There is no previous plan: start from a given one, or a robot that stays where it is.
-        x = self._inputs["x"]
-        p = self._inputs["p"]
+        # By their places, because a subclass may have other names for them.
+        x, p = list(self._inputs.values())[:2]
         u_ref = self.iteration.arrays["u_ref"][: self.problem.n_u]
         u = np.where(np.isfinite(u_ref), u_ref, 0.0)
         refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
