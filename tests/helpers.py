@@ -35,7 +35,8 @@ def no_compiler():
 class Untraceable(rhec.Path):
     """A path on which every run fails."""
 
-    def poses(self, s):
+    # A Scenario reads the path's poses; only a run projects on it.
+    def project(self, xy):
         raise ValueError("this path cannot be traced")
 
 

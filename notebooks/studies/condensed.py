@@ -79,7 +79,7 @@ class CondensedQP:
         """
         bounds = dict(lb=step["least"].T, ub=step["most"].T)
         solution = self._solve(H=inputs["H"], g=step["g"].T, **bounds)
-        return solution["x"].T, solution["multipliers"].T, solution["ok"]
+        return solution["x"].T, solution["multipliers"].T, solution["solved"]
 
 
 def _condensed_hessian(A, B, Q, R):
@@ -112,8 +112,8 @@ def box_qp_by_library(n, solver):
         solver: "daqp" or "qpoases".
 
     Returns:
-        The Function (H, g, lb, ub) -> (x, multipliers, ok). Multipliers are positive at an upper,
-        negative at a lower bound. Where the solver fails, ok, x and the multipliers are 0.
+        The Function (H, g, lb, ub) -> (x, multipliers, solved). Multipliers are positive at an
+        upper, negative at a lower bound. Where the solver fails, all three are 0.
     """
     column = (n, 1)
 
@@ -130,11 +130,11 @@ def box_qp_by_library(n, solver):
         x = solution["x"]
         # An active-set solver may leave the box by its tolerance; the bounds are hard. The
         # comparison is also 0 where x is not a number.
-        ok = plausible * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))
+        solved = plausible * ca.mmin(ca.vertcat(x >= lb - 1e-6, x <= ub + 1e-6))
         return dict(
-            x=ca.if_else(ok, ca.fmin(ca.fmax(x, lb), ub), 0),
-            multipliers=ca.if_else(ok, solution["lam_x"], 0),
-            ok=ok,
+            x=ca.if_else(solved, ca.fmin(ca.fmax(x, lb), ub), 0),
+            multipliers=ca.if_else(solved, solution["lam_x"], 0),
+            solved=solved,
         )
 
     return solve

@@ -88,7 +88,7 @@ class Block:
 # Loops that differ in one block share the others, which take a third of a second to build.
 @functools.lru_cache(maxsize=64)
 def _built(symbols, build, arguments):
-    """build(*arguments); `symbols` is the kind that Functions may use, which a compiler decides."""
+    """build(*arguments); `symbols` are SX or MX, which a compiler decides."""
     return build(*arguments)
 
 

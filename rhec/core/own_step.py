@@ -53,11 +53,11 @@ class OwnStep:
         except RuntimeError:
             refuse("step was", self.step, "it should be made of what CasADi can store")
 
-    def _check_names(self, kind, names, known):
+    def _check_names(self, role, names, known):
         for name in names:
             if name not in (MEMORY, *known):
                 raise ValueError(
-                    f"step has the {kind} {shown(name)}; it should be one of "
+                    f"step has the {role} {shown(name)}; it should be one of "
                     f"{', '.join((MEMORY, *known))}"
                 )
 
@@ -82,8 +82,8 @@ class OwnStep:
         return _restored, (type(self), self.key, self.memory)
 
 
-def _restored(kind, key, memory):
-    own = object.__new__(kind)
+def _restored(own_class, key, memory):
+    own = object.__new__(own_class)
     vars(own).update(step=ca.Function.deserialize(key), memory=memory, key=key)
     return own
 
@@ -98,10 +98,10 @@ def results_of(step):
     return {name: step.size_out(name) for name in step.name_out()}
 
 
-def check_sizes(kind, sizes, wanted):
-    """Refuse inputs or results whose shapes are not as wanted; None is any shape."""
+def check_sizes(role, sizes, wanted):
+    """Refuse inputs or results (`role`) whose shapes are not as wanted; None is any shape."""
     for name, size in sizes.items():
         if wanted.get(name) not in (None, size):
             raise ValueError(
-                f"step has the {kind} {name!r} of shape {size}; it should have {wanted[name]}"
+                f"step has the {role} {name!r} of shape {size}; it should have {wanted[name]}"
             )

@@ -21,15 +21,14 @@ BLOCK = 48
 
 def build(step):
     """Functions {step, block}: the step, and BLOCK steps in one Function."""
-    symbols = step.mx_in()
-    memory = symbols[0]
-    settings = symbols[2:]
+    first_memory, _, *settings = step.mx_in()
+    memory = first_memory
     stream = ca.MX.sym("stream", step.size1_in(1), BLOCK)
     rows = []
     for sample in ca.horzsplit(stream):
         memory, row, *_ = step.call([memory, sample, *settings])
         rows.append(row)
-    inputs = [symbols[0], stream, *settings]
+    inputs = [first_memory, stream, *settings]
     outputs = [memory, ca.horzcat(*rows)]
     names = step.name_in(), ["memory", "rows"], {"allow_duplicate_io_names": True}
     return dict(step=step, block=ca.Function("block", inputs, outputs, *names))

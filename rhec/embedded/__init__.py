@@ -93,7 +93,7 @@ def _write(folder, texts):
 def _of_model(parts):
     """{file: text} of the export of a Model's RHE, RHC or both."""
     by_name = {
-        kind.__name__.lower(): part for kind in (RHE, RHC) for part in parts if type(part) is kind
+        made.__name__.lower(): part for made in (RHE, RHC) for part in parts if type(part) is made
     }
     if len(by_name) < len(parts):
         raise ValueError(

@@ -117,8 +117,8 @@ def export(scenario):
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
         phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
-    judged = "rejected" in estimate["shift"].name_in()
-    most = patience(choice.estimation_horizon) if judged else 0
+    has_gate = "rejected" in estimate["shift"].name_in()
+    most = patience(choice.estimation_horizon) if has_gate else 0
     macros = _macros_on_a_path(scenario, horizon.dt_s, most)
     return _export(phases, settings, setup.guess, macros)
 

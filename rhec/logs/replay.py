@@ -483,7 +483,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
         if "gyro" in names:
             gyro = part[SENSORS["gyro"]]
             omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
-            part[GYRO_ACCEPTED] = gyro_check.are_used(gyro, omega)
+            part[GYRO_ACCEPTED] = gyro_check.are_accepted(gyro, omega)
             used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
         stream = with_ages(used, how.measured)
         yaw_rad = _first_yaw(first, number, part)

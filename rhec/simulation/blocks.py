@@ -26,7 +26,7 @@ from rhec.tracked_robot.references import build_references
 
 _ONE = (1, 1)
 _N_Z = 4  # entries of a measurement (x, y, ν, ω); those of other sensors follow
-# Signals that a controller has other names for.
+# What a controller reads and what it writes under names of its own: {its name: the signal}.
 _OF_CONTROLLER = (
     dict(memory="controller", s_0="estimate", x_ref="xi_ref", u_ref="omega_ref"),
     dict(memory="controller", kkt="kkt_rhc", ok="ok_rhc"),
@@ -40,8 +40,11 @@ def blocks_of(scenario, n_segments=None, terrain_shape=None):
     Args:
         scenario: The Scenario.
         n_segments: Number of the path's segments.
-        terrain_shape: Shape of the grid of the soil's slip fields. Without these two the blocks
-            tell loops apart, but cannot be built.
+        terrain_shape: Shape of the grid of the soil's slip fields. Without these two, the blocks
+            can be compared with those of other loops, but not be built.
+
+    Returns:
+        A tuple of Blocks, in the order in which a sample runs them.
     """
     sensors = scenario.sensors
     interval = scenario.yaw_rate_interval
@@ -120,14 +123,14 @@ def _estimator(choice):
 
 
 @_blocks
-def _yaw_rate(n_sensors, yaw_rate_interval, has_disturbance):
-    """The newest yaw rate, with the disturbance by an estimated yaw drift where there is one."""
+def _yaw_rate(n_sensors, yaw_rate_interval, has_yaw_drift):
+    """The newest yaw rate; where the yaw drift is estimated, the disturbance that it makes, too."""
     if yaw_rate_interval == "after":
-        # The estimator gets the newest yaw rate a sample on.
+        # The estimator gets the newest yaw rate one sample later.
         yield Block(waiting_yaw_rate)
     else:
         yield Block(newest_yaw_rate, (_N_Z + n_sensors,))
-    if has_disturbance:
+    if has_yaw_drift:
         from rhec.tracked_robot import yaw_disturbance
 
         yield Block(yaw_disturbance.build_from_drift, reads=dict(yaw_drift="yaw_drift_hat"))
@@ -142,7 +145,7 @@ def _references(horizon, n_segments, input_reference):
 
 
 @_blocks
-def _controller(own, horizon, traction_timing, has_disturbance):
+def _controller(own, horizon, traction_timing, has_yaw_drift):
     """The command, of a user's `own` Controller or of the paper's RHC."""
     takes = own.step.name_in() if own else ("memory",)
     remembers = ("command", "controller") if "memory" in takes else ("command",)
@@ -152,12 +155,12 @@ def _controller(own, horizon, traction_timing, has_disturbance):
         control = Block(
             paper_rhc.build_step, (horizon, traction_timing), *_OF_CONTROLLER, remembers
         )
-    is_compensated = has_disturbance and "disturbance" not in takes
+    is_compensated = has_yaw_drift and "disturbance" not in takes
     yield from _compensated(control) if is_compensated else (control,)
 
 
 def _compensated(control):
-    """A controller that does not know of a disturbance, between blocks that do."""
+    """The block of a controller that knows no disturbance, between two that compensate it."""
     from rhec.tracked_robot import yaw_disturbance
 
     return Block(yaw_disturbance.moved_bounds), control, Block(yaw_disturbance.taken_off)
@@ -191,7 +194,7 @@ def _log(n_sensors):
 
 
 def known_traction(traction_input):
-    """What an estimator is passed of the soil, as a Function of all that it might be passed."""
+    """The Function that selects what an estimator is told of the soil: of most, nothing."""
 
     @casadi_function("known_traction", ca.MX, mean_traction=(2, 1), traction=(2, 1), yaw_drift=_ONE)
     def known(mean_traction, traction, yaw_drift):
@@ -203,14 +206,17 @@ def known_traction(traction_input):
 
 
 def default_results(n_z):
-    """Results that an estimator or a controller need not have; every log has the same columns."""
+    """What is logged of an estimator or controller that does not return it itself.
+
+    All logs thus have the same columns. Blocks that follow overwrite what they return.
+    """
     nan = ca.DM.nan(1)
 
     @casadi_function("default_results", z=(n_z, 1))
     def default(z):
-        valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(_LIMITS)]
+        accepted = [is_valid_measurement(z[row], limit) for row, limit in enumerate(_LIMITS)]
         of_estimator = dict(covariance=nan, deviance=nan, kkt_rhe=nan, ok_rhe=1, restart=0)
-        return of_estimator | dict(accepted=ca.vertcat(*valid), kkt_rhc=0, ok_rhc=1)
+        return of_estimator | dict(accepted=ca.vertcat(*accepted), kkt_rhc=0, ok_rhc=1)
 
     return default
 
@@ -226,12 +232,12 @@ def newest_yaw_rate(n_z):
 
 
 def waiting_yaw_rate():
-    """`newest_yaw_rate` of one that no estimator has judged yet."""
+    """`newest_yaw_rate`, of a yaw rate that the estimator gets only with the next sample."""
 
     @casadi_function("waiting_yaw_rate", newest_omega=_ONE, command=_ONE)
     def newest(newest_omega, command):
-        accepted = is_valid_measurement(newest_omega, _LIMITS[3])
-        return dict(omega_measured=ca.if_else(accepted, newest_omega, command))
+        is_valid = is_valid_measurement(newest_omega, _LIMITS[3])
+        return dict(omega_measured=ca.if_else(is_valid, newest_omega, command))
 
     return newest
 
@@ -242,12 +248,12 @@ def references_on_path(dt_s, horizon, n_segments, input_reference):
 
 
 def own_step(controller):
-    """A user's controller."""
+    """The Function of a user's Controller."""
     return controller.step
 
 
 def row_of_log(n_z):
-    """A row of the log, of a measurement with n_z entries, as a Function of its parts."""
+    """The Function that puts a row of the log together; a measurement has n_z entries."""
     shapes = {name: (len(columns), 1) for name, columns in LOG.items() if name != "ok"}
     shapes |= dict(z=(n_z, 1), accepted=(_N_Z, 1), ok_rhe=_ONE, ok_rhc=_ONE)
 

@@ -63,7 +63,7 @@ class Setup:
 
     @property
     def draws(self):
-        """Names of what a run draws from its stream, as `noise_and_faults` takes them."""
+        """Names of the signals in a row of the run's stream, as `noise_and_faults` takes them."""
         return blocks.drawn(self.structure[0])
 
     def unpack(self, memory):
@@ -109,7 +109,7 @@ def first_guess(scenario, path):
 
 
 def _start_pose(scenario, path):
-    """Where the robot starts: beside the path's beginning, turned from it; backwards by π, too."""
+    """The pose at the start, given relative to the path; backwards it is turned by π more."""
     ((x, y, theta),), _ = path.poses([0.0])
     # (-sin θ, cos θ) points to the left.
     x -= scenario.start_offset_m * np.sin(theta)
@@ -119,7 +119,7 @@ def _start_pose(scenario, path):
 
 
 def _first_values(scenario, path, guess):
-    """What a block may remember, before the first sample, by name; the RHC has a dict."""
+    """What blocks may remember, before the first sample, by name; that of the RHC is a dict."""
     pose = _start_pose(scenario, path)
     return (
         robot.init(pose, _signed_speed(scenario))
@@ -136,7 +136,7 @@ def _first_values(scenario, path, guess):
 
 
 def _first_plan(scenario, guess):
-    """The memory of the controller before the first sample; the RHC's by name."""
+    """The memory of the controller before the first sample; that of the RHC is a dict."""
     own = own_controller(scenario)
     if own:
         return np.array(own.memory)
@@ -201,15 +201,15 @@ def simulate_setup(scenario, setup):
 
 
 def finish_all(scenarios, setups, logs):
-    """The Runs whose loops yielded these logs: each has the bits that it has alone.
+    """The Runs of these scenarios, from the rows that their loops yielded.
 
-    Runs on one path are projected on it at once: NumPy spends most of a short array's time in
-    calls.
+    Runs on one path are projected on it at once, because NumPy spends most of its time in
+    the calls where arrays are short. Each Run has the bits that it has alone.
 
     Args:
-        scenarios: Of the runs.
+        scenarios: The Scenarios.
         setups: Their Setups.
-        logs: Their rows (n, LOG), of any lengths.
+        logs: Their rows (n, columns), of any lengths.
 
     Returns:
         A list of Runs, in their order.
@@ -235,7 +235,7 @@ def _columns_of(scenario, rows):
 
 
 def _add_errors(path, runs):
-    """Add the distances to the path to the columns of runs.
+    """Add to the columns of runs their distances to the path, and where it is straight.
 
     Returns:
         The poses of the path (n, 3) at the points closest to each robot.

@@ -55,13 +55,13 @@ class Controller(OwnStep):
         if _COMMAND not in self.step.name_out():
             raise ValueError(f"step has no result {_COMMAND!r}; it should have one")
         size = (len(self.memory), 1)
-        for kind, sizes in (("input", inputs_of(self.step)), ("result", results_of(self.step))):
+        for role, sizes in (("input", inputs_of(self.step)), ("result", results_of(self.step))):
             if self.memory and MEMORY not in sizes:
                 raise ValueError(
-                    f"step has no {kind} {MEMORY!r}; for a first memory of {size[0]} numbers it "
+                    f"step has no {role} {MEMORY!r}; for a first memory of {size[0]} numbers it "
                     "should have one"
                 )
-            check_sizes(kind, sizes, {MEMORY: size})
+            check_sizes(role, sizes, {MEMORY: size})
 
 
 def own_controller(scenario):

@@ -1,7 +1,7 @@
 """A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md).
 
-The text below each field says what it means, with its unit in brackets; what values it takes, its
-annotation says. `scenario_fields` makes Scenario's help, and menus, of both.
+The text below each field says what it means, with its unit in brackets. Its annotation says which
+values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
 """
 
 from typing import Annotated, Literal
@@ -28,7 +28,7 @@ from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 class Scenario:
     # The estimator
 
-    # Pydantic skips a union with a class of ours; `_check_kinds` refuses in one sentence.
+    # Pydantic skips a union with a class of ours; `_check_types` refuses in one sentence.
     estimator: Annotated[EstimatorName | Estimator | ca.Function, SkipValidation] = "rhe"
     """The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
     "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
@@ -196,7 +196,7 @@ class Scenario:
     def __post_init__(self):
         if isinstance(self.estimator, ca.Function):
             object.__setattr__(self, "estimator", Estimator(self.estimator))
-        _check_kinds(self)
+        _check_types(self)
         for name in ("mu", "kappa"):
             _check_deviation(self, name)
         _check_fits_estimator(self)
@@ -206,8 +206,8 @@ class Scenario:
             box_of(self, path_of(self))
 
 
-def _check_kinds(scenario):
-    """Refuse an estimator, controller, path or terrain of another kind."""
+def _check_types(scenario):
+    """Refuse an estimator, controller, path or terrain of another type."""
     estimator = scenario.estimator
     if not _is_one_of(NAMES, estimator) and not isinstance(estimator, Estimator):
         expected = f"it should be one of {NAMES}, a rhec.Estimator or a CasADi Function"
@@ -216,10 +216,10 @@ def _check_kinds(scenario):
     if not _is_one_of(("rhc",), controller) and not isinstance(controller, Controller):
         expected = "it should be 'rhc' or a rhec.Controller"
         raise ValueError(f"controller was {valid.shown(controller)}; {expected}")
-    for name, kind in (("path", Path), ("terrain", Terrain)):
+    for name, expected_type in (("path", Path), ("terrain", Terrain)):
         value = getattr(scenario, name)
-        if not isinstance(value, kind | None):
-            expected = f"it should be a rhec.{kind.__name__} or None"
+        if not isinstance(value, expected_type | None):
+            expected = f"it should be a rhec.{expected_type.__name__} or None"
             raise ValueError(f"{name} was {valid.shown(value)}; {expected}")
 
 
@@ -260,10 +260,10 @@ def _check_fits_estimator(scenario):
 class _FieldsAsDocstring:
     """Scenario's docstring, made when it is read, because no run needs the texts of the fields."""
 
-    def __get__(self, scenario, kind):
+    def __get__(self, scenario, owner):
         from rhec.simulation.scenario_fields import docstring
 
-        return docstring(kind)
+        return docstring(owner)
 
 
 Scenario.__doc__ = _FieldsAsDocstring()

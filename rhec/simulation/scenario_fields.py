@@ -72,29 +72,29 @@ def _texts_of(scenario_class):
 
 def _values_of(info):
     """(lowest, highest, choices, above_lowest) of a pydantic FieldInfo."""
-    kind = _entry(info.annotation)
-    limits = [*_flat(getattr(kind, "__metadata__", ())), *info.metadata]
+    annotation = _entry(info.annotation)
+    limits = [*_flat(getattr(annotation, "__metadata__", ())), *info.metadata]
     # Limits of ±1e100 only keep squares finite (`validation.Real`).
     above = max((limit.gt for limit in limits if hasattr(limit, "gt")), default=None)
     lowest = max((x.ge for x in limits if hasattr(x, "ge") and x.ge > -1e100), default=None)
     highest = min((x.le for x in limits if hasattr(x, "le") and x.le < 1e100), default=None)
-    choices = get_args(kind) if get_origin(kind) is Literal else ()
-    if kind is bool:
+    choices = get_args(annotation) if get_origin(annotation) is Literal else ()
+    if annotation is bool:
         choices = (False, True)
     if lowest is None:
         return above, highest, choices, above is not None
     return lowest, highest, choices, False
 
 
-def _entry(kind):
+def _entry(annotation):
     """What one entry of a tuple is; of alternatives the first; else the annotation itself."""
-    parts = [part for part in get_args(kind) if part not in (NoneType, Ellipsis)]
-    if get_origin(kind) is tuple:
+    parts = [part for part in get_args(annotation) if part not in (NoneType, Ellipsis)]
+    if get_origin(annotation) is tuple:
         return parts[0] if all(part is parts[0] for part in parts) else Any
     # What has parts and is neither of these is a union, by either of Python's two spellings.
-    if parts and get_origin(kind) not in (Literal, Annotated):
+    if parts and get_origin(annotation) not in (Literal, Annotated):
         return _entry(parts[0])
-    return kind
+    return annotation
 
 
 def _flat(metadata):

@@ -1,4 +1,4 @@
-"""One verb for runs: of one scenario, or of several."""
+"""`rhec.simulate`: run one scenario, or several."""
 
 from collections.abc import Iterable
 from typing import overload

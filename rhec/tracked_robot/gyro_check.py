@@ -67,7 +67,7 @@ def checked(gyro, omega, before):
     return used, Gyro(ca.if_else(has_gyro, gyro, before.last), product, square, is_opposite)
 
 
-def are_used(gyro, omega):
+def are_accepted(gyro, omega):
     """Whether each measurement of a recorded gyro is used, (n,).
 
     Args:

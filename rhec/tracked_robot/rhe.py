@@ -21,13 +21,13 @@ _SIGMA_INPUT = 10.0
 # Where a window restarts, the traction begins as if nothing slipped.
 _RESTART = dict(mu=1.0, kappa=1.0)
 
-# Only a position can be wild, and takes the estimate with it: encoders weigh little, and a robot
-# that stops must not be rejected.
+# Only positions are judged. A wild one would take the estimate with it. Encoders weigh too little
+# for that, and where a robot stops suddenly, what they measure must not be rejected.
 _POSITION = QUANTITIES[:2]
 JUDGE = InnovationGate(_POSITION, (*_POSITION, "nu_mps", "omega_radps"), doubts_model=False)
 
-# The RHE with the traction held, which shows what estimating it is worth: (μ, κ) are inputs,
-# measured almost exactly.
+# An RHE that is told the traction shows what estimating it is worth. Here (μ, κ) are inputs that
+# are measured almost exactly.
 _SIGMA_HELD = 1e-6
 _HELD = Model(
     states=QUANTITIES[:3],
@@ -87,16 +87,16 @@ def settings_of(scenario, dt_s=paper.DT_S):
         dt_s: Length of a sample [s].
     """
     sensors = scenario.sensors
-    kind = speed_model_of(scenario.speed_model, sensors)
+    speed_model = speed_model_of(scenario.speed_model, sensors)
     of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
         V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),
-        W=np.square(_sigma_w(scenario, kind, dt_s)),
-        P_0=np.square(sigma_start(kind.model)),
-        m_0=np.array([_RESTART.get(name, 0.0) for name in kind.model.joint_names]),
+        W=np.square(_sigma_w(scenario, speed_model, dt_s)),
+        P_0=np.square(sigma_start(speed_model.model)),
+        m_0=np.array([_RESTART.get(name, 0.0) for name in speed_model.model.joint_names]),
     )
-    if kind.model.motion_noise:
-        constants = dict(kind.model.motion_noise.constants)
+    if speed_model.model.motion_noise:
+        constants = dict(speed_model.model.motion_noise.constants)
         constants |= dict(zip(tuning.SLIP, scenario.slip or ()))
         constants |= tuning.gyro_constants(sensors, scenario.sigma_gyro)
         constants |= dict(track_width_m=scenario.track_width_m, dt_s=dt_s)
@@ -104,21 +104,21 @@ def settings_of(scenario, dt_s=paper.DT_S):
     return settings
 
 
-def _sigma_w(scenario, kind, dt_s):
+def _sigma_w(scenario, speed_model, dt_s):
     """Standard deviations of the process noise of the joint state of a model with sensors.
 
-    Those of a scenario cover what the model without sensors estimates. The bias of a gyro wanders;
-    where the model has motion noise, that says how.
+    `sigma_w` of a scenario covers what the model without sensors estimates. The bias of a gyro
+    wanders besides. Where the model has motion noise, its constants say how much.
     """
     plain = speed_model_of(scenario.speed_model).model
     sigma_w = scenario.sigma_w
     if sigma_w is None:
         tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
-        sigma_w = kind.sigma_w or [tuned[name] for name in plain.joint_names]
-    sigma = dict(zip(plain.joint_names[-kind.n_sigma_w :], sigma_w))
-    if not kind.model.motion_noise:
+        sigma_w = speed_model.sigma_w or [tuned[name] for name in plain.joint_names]
+    sigma = dict(zip(plain.joint_names[-speed_model.n_sigma_w :], sigma_w))
+    if not speed_model.model.motion_noise:
         sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
-    return [sigma.get(name, 0.0) for name in kind.model.joint_names]
+    return [sigma.get(name, 0.0) for name in speed_model.model.joint_names]
 
 
 def build_phases(choice):

@@ -30,15 +30,15 @@ def speed_model_of(name, sensors=()):
     """The SpeedModel of a Scenario's `speed_model` and `sensors`, a tuple of names of OUTPUTS."""
     if name == "slipping":
         # Imported here, because it is not in the paper: most runs do without it.
-        from rhec.tracked_robot.slipping import SLIPPING as kind
+        from rhec.tracked_robot.slipping import SLIPPING as speed_model
     else:
-        kind = SPEED_MODELS[name]
-    return _with_sensors(kind, sensors) if sensors else kind
+        speed_model = SPEED_MODELS[name]
+    return _with_sensors(speed_model, sensors) if sensors else speed_model
 
 
-def _with_sensors(kind, sensors):
+def _with_sensors(speed_model, sensors):
     """The SpeedModel whose Model has these sensors, too."""
-    base = kind.model
+    base = speed_model.model
     has_gyro = "gyro" in sensors
     n_u = len(base.inputs)
     n_fixed = len(base.parameters) - 2  # all but μ and κ, which stay the last ones
@@ -75,7 +75,7 @@ def _with_sensors(kind, sensors):
         angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
         motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
     )
-    return SpeedModel(model, kind.n_sigma_w, kind.sigma_w)
+    return SpeedModel(model, speed_model.n_sigma_w, speed_model.sigma_w)
 
 
 def _with_gyro_noise(base):

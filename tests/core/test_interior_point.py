@@ -86,7 +86,7 @@ def test_solutions_of_random_qps_are_those_of_qpoases(size):
         qp, prices = random_qp(rng, *size)
         feasible, expected = by_qpoases(qp, prices)
         solution = solve(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
-        assert solution["ok"] == feasible
+        assert solution["solved"] == feasible
         if feasible:
             z = np.array(solution["z"])
             np.testing.assert_allclose(z, expected, rtol=0, atol=1e-6 * max(1, np.abs(z).max()))
@@ -128,7 +128,7 @@ def test_rows_without_a_price_are_hard_ones_wherever_they_can_be_kept():
         given, prices = qp_without_prices(rng, N, n, m, rows)
         feasible, expected = by_qpoases(given, NO_SOFT_ROWS)
         found = solve(**{name: np.hstack(parts) for name, parts in given.items()}, **prices)
-        assert found["ok"] == 1
+        assert found["solved"] == 1
         excess = np.array(found["excess"])[:, 0]
         assert np.all(excess == 0) == feasible
         kept.append(feasible)
@@ -168,7 +168,7 @@ def test_a_row_that_is_at_rest_at_its_bound(other):
             low[0], high[0] = other, 0.0
         feasible, z = by_qpoases(qp, prices)
         found = solver(*size)(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
-        assert feasible and found["ok"] == 1
+        assert feasible and found["solved"] == 1
         np.testing.assert_allclose(found["z"], z, rtol=0, atol=2e-6)
 
 
@@ -180,7 +180,7 @@ def test_what_cannot_be_kept_is_not_ok():
     qp["lower"] = [np.array([[1.0], [-1e20]])] * 9
     qp["upper"] = [np.array([[1e20], [0.5]])] * 9
     solution = solver(*size)(**{name: np.hstack(parts) for name, parts in qp.items()}, **prices)
-    assert solution["ok"] == 0 and solution["iterations"] <= MAX_ITERATIONS
+    assert solution["solved"] == 0 and solution["iterations"] <= MAX_ITERATIONS
     assert np.all(np.array(solution["z"]) == 0)
 
 

@@ -243,9 +243,9 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
         )
         if n > 1:
             other = box_qp_by_library(n, ("daqp", "qpoases")[k % 2])(**problem)
-            assert other["ok"] == 1
+            assert other["solved"] == 1
             expected = flat(other["x"])
-        assert solution["ok"] == 1
+        assert solution["solved"] == 1
         np.testing.assert_allclose(flat(solution["x"]), expected, rtol=0, atol=1e-8)
         x = flat(solution["x"])
         active += np.any((x == problem["lb"]) | (x == problem["ub"]))

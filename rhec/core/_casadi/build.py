@@ -7,38 +7,40 @@ from rhec.core._casadi.compiled import loop_symbols
 _OPTIONS = {"allow_duplicate_io_names": True, "cse": True}
 
 
-def casadi_function(name, kind=ca.SX, /, **shapes):
+def casadi_function(name, symbols=ca.SX, /, **shapes):
     """Decorator: the CasADi Function of a Python function whose annotations are its inputs' shapes.
 
     A shape is (rows, columns) or a CasADi Sparsity. An annotation may also be a dict or NamedTuple
     of shapes: each entry is one input, and the function receives a dict or NamedTuple of
     expressions. `shapes` are those of inputs without annotation. The function returns its outputs
-    as a dict or NamedTuple. `kind` is SX for arithmetic (inlined, simplified), or MX for functions
-    that call other Functions.
+    as a dict or NamedTuple. `symbols` are SX for arithmetic (inlined, simplified), or MX for
+    functions that call other Functions.
     """
 
     def decorate(body):
-        symbols = {}
+        inputs = {}
         annotated = body.__annotations__ | shapes
-        arguments = {key: _argument(key, shape, kind, symbols) for key, shape in annotated.items()}
+        arguments = {
+            key: _argument(key, shape, symbols, inputs) for key, shape in annotated.items()
+        }
         outputs = body(**arguments)
         if hasattr(outputs, "_asdict"):
             outputs = outputs._asdict()
-        names = [*symbols], [*outputs], _OPTIONS
-        return ca.Function(name, [*symbols.values()], [*outputs.values()], *names)
+        names = [*inputs], [*outputs], _OPTIONS
+        return ca.Function(name, [*inputs.values()], [*outputs.values()], *names)
 
     return decorate
 
 
-def _argument(name, shape, kind, symbols):
-    """A symbol of this shape, or a dict or NamedTuple of them; all are added to `symbols`."""
+def _argument(name, shape, symbols, inputs):
+    """A symbol of this shape, or a dict or NamedTuple of them; all are added to `inputs`."""
     if hasattr(shape, "_asdict"):
-        return type(shape)(**_argument(name, shape._asdict(), kind, symbols))
+        return type(shape)(**_argument(name, shape._asdict(), symbols, inputs))
     if isinstance(shape, dict):
-        return {key: _argument(key, entry, kind, symbols) for key, entry in shape.items()}
+        return {key: _argument(key, entry, symbols, inputs) for key, entry in shape.items()}
     sparsity = shape if isinstance(shape, ca.Sparsity) else ca.Sparsity.dense(*shape)
-    symbols[name] = kind.sym(name, sparsity)
-    return symbols[name]
+    inputs[name] = symbols.sym(name, sparsity)
+    return inputs[name]
 
 
 def short_cut(flag):
@@ -63,14 +65,14 @@ def short_cut(flag):
     return decorate
 
 
-def with_packed_memory(name, memory, kind=ca.MX, **shapes):
+def with_packed_memory(name, memory, symbols=ca.MX, **shapes):
     """`casadi_function` whose `memory` (name: shape) is packed in one vector, its first input.
 
     The function takes each piece by its name and returns each piece's next value under that name.
     """
 
     def decorate(body):
-        @casadi_function(name, kind, memory=(packed_size(memory), 1), **shapes)
+        @casadi_function(name, symbols, memory=(packed_size(memory), 1), **shapes)
         def packed(**inputs):
             result = body(**unpack(inputs.pop("memory"), memory), **inputs)
             result = {"memory": ca.veccat(*(result.pop(piece) for piece in memory))} | result

@@ -461,7 +461,7 @@ class EKFBatch(_EstimatorBatch):
         return self._estimates()
 
 
-_KINDS = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}
+_BATCHES = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}
 
 
 @overload
@@ -499,9 +499,9 @@ def batch(source: Any, n: Runs) -> Any:
     Raises:
         ValueError: If an argument is invalid.
     """
-    kind = _KINDS.get(type(source))
-    if kind is None:
+    batch_class = _BATCHES.get(type(source))
+    if batch_class is None:
         expected = "it should be a rhec.RHC, rhec.RHE or rhec.EKF with a model"
         paper = isinstance(source, RHC | RHE)
         refuse("source was", source, expected + ("; for the paper's, use rhec.campaign" * paper))
-    return kind(source, n)
+    return batch_class(source, n)

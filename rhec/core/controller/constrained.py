@@ -159,7 +159,7 @@ class ConstrainedStages:
 
     def __init__(self, horizon):
         plain = horizon.plain
-        self.loops = compiled.loop_symbols()
+        self.loop_symbols = compiled.loop_symbols()
         self.roll_out = build_roll_out(plain)
         unknowns = plain.memory
         cost = _build_cost(horizon)
@@ -168,8 +168,8 @@ class ConstrainedStages:
         self._horizon = horizon
         self._outputs = linearised_outputs(horizon)
         self._stages = _build_stages(horizon)
-        self._solve = interior_point(_shape_of_qp(horizon, self._stages[0]), self.loops)
-        self._condition = _build_condition(horizon, self.loops, self._outputs, self.roll_out)
+        self._solve = interior_point(_shape_of_qp(horizon, self._stages[0]), self.loop_symbols)
+        self._condition = _build_condition(horizon, self.loop_symbols, self._outputs, self.roll_out)
 
     def prepare(self, inputs):
         """The outputs along the plan, and the stages of the QP."""
@@ -202,7 +202,7 @@ class ConstrainedStages:
         solution = self._solve(**qp, lower=ends - rows, upper=tops - rows)
         z = solution["z"]
         results = {name: solution[name] for name in ("complementarity", "iterations", "excess")}
-        solved = solution["ok"]
+        solved = solution["solved"]
         results |= dict(solved=solved, ok=solved * (ca.sum1(solution["excess"]) == 0))
         results["decrease"] = ca.fabs(ca.dot(at_plan["g"], z))
         return dict(change=z[horizon.n :, : horizon.plain.N]) | results
@@ -378,7 +378,7 @@ def _build_node(horizon):
     return node
 
 
-def _build_condition(horizon, loops, outputs, roll_out):
+def _build_condition(horizon, loop_symbols, outputs, roll_out):
     """The gradient g and the values of the rows, at the previous plan from the new estimate."""
     plain = horizon.plain
     N = plain.N
@@ -388,7 +388,7 @@ def _build_condition(horizon, loops, outputs, roll_out):
     shapes |= {name: ca.repmat(outputs.sparsity_out(name), 1, N + 1) for name in ("Y", "C", "E")}
     shapes |= horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_condition", loops, **shapes)
+    @casadi_function("rhc_condition", loop_symbols, **shapes)
     def condition(F, D, B, Y, C, E, s, u, before, Q, QN, R, Q_y, QN_y, R_delta, **references):
         s_0, x_ref, u_ref, y_ref = (references[name] for name in horizon.references)
         plan = planned(plain, [u[place, :] for place in command], u_ref)

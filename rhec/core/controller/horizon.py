@@ -90,7 +90,7 @@ class Horizon(NamedTuple):
         return {}
 
     @property
-    def loops(self):
+    def loop_symbols(self):
         """SX or MX, for Functions that repeat an interval."""
         # In one piece, a step takes two thirds of the time, and a long horizon 7 s to compile. The
         # paper's horizon has 15 intervals, one command and six joint states.

@@ -2,7 +2,7 @@
 
 What differs is an object, `PlainStages` (only commands are bounded) or `ConstrainedStages`:
 
-- `loops`: SX or MX, for Functions that repeat a stage;
+- `loop_symbols`: SX or MX, for Functions that repeat a stage;
 - `roll_out`: that of `build_roll_out`;
 - `prepare(inputs)`: what the QP needs besides the dynamics, from memory, dynamics and weights;
 - `solve(inputs)`: the QP's solution, with `change` (n_c, N) of the commands and `ok`;
@@ -60,7 +60,7 @@ def _build_linearise(horizon, stages):
     plain = horizon.plain
     N = plain.N
 
-    @casadi_function("rhc_linearise", stages.loops, **horizon.memory, **horizon.weights)
+    @casadi_function("rhc_linearise", stages.loop_symbols, **horizon.memory, **horizon.weights)
     def linearise(**inputs):
         dt_s = ca.repmat(ca.DM(plain.dt_s), 1, N)
         # Each interval is linearised at its own node, whether or not the nodes are connected.
@@ -100,7 +100,7 @@ def _build_expand(horizon, stages, feedback):
     shapes |= {name: feedback.sparsity_out(name) for name in results}
 
     @short_cut(stages.taken)
-    @casadi_function("rhc_expand", plain.loops, **shapes)
+    @casadi_function("rhc_expand", plain.loop_symbols, **shapes)
     def expand(s, u, F, D, B, s_0, u_ref, u_plan, **inputs):
         taken = inputs.pop(stages.taken)
         kept = {name: inputs.pop(name) for name in horizon.memory if name not in ("s", "u")}

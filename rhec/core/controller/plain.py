@@ -34,7 +34,7 @@ class PlainStages:
     reported = ()
 
     def __init__(self, horizon, doublings=DOUBLINGS):
-        self.loops = horizon.loops
+        self.loop_symbols = horizon.loop_symbols
         self.roll_out = build_roll_out(horizon)
         self.search = _build_search(horizon) if horizon.damped else None
         self._horizon = horizon
@@ -49,9 +49,9 @@ class PlainStages:
         """The estimate and the references move the gradient; the QP gives the change."""
         horizon = self._horizon
         step = self._gradient(**select_inputs(self._gradient, inputs))
-        change, multipliers, ok = self._qp.solve(step, inputs)
+        change, multipliers, solved = self._qp.solve(step, inputs)
         change = ca.reshape(change, len(horizon.command), horizon.N)
-        return dict(change=change, multipliers=multipliers, ok=ok, **step)
+        return dict(change=change, multipliers=multipliers, ok=solved, **step)
 
     def command_bounds(self, inputs):
         """Lowest and highest commands."""
@@ -76,7 +76,7 @@ class StagewiseQP:
         self.horizon = horizon
         weights = (ca.Sparsity.diag(n) for n in (horizon.n_x, len(horizon.command)))
         stages = (*plain_stages(horizon), *weights)
-        self._solve = stage_qp(horizon.N, *stages, horizon.loops, doublings)
+        self._solve = stage_qp(horizon.N, *stages, horizon.loop_symbols, doublings)
 
     def prepare(self, D, B, Q, QN, R):
         """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""
@@ -94,7 +94,7 @@ class StagewiseQP:
         bounds = dict(lower=step["least"], upper=step["most"])
         active = active_before(self.horizon, inputs)
         solution = self._solve(**stages, g=step["g"], **bounds, active=active)
-        return solution["x"], solution["multipliers"], solution["ok"]
+        return solution["x"], solution["multipliers"], solution["solved"]
 
 
 def _build_backward(horizon):
@@ -130,7 +130,7 @@ def _build_gradient(horizon, roll_out):
     backward = _build_backward(horizon)
     shapes = horizon.memory | horizon.dynamics | horizon.weights | horizon.references
 
-    @casadi_function("rhc_gradient", horizon.loops, **shapes)
+    @casadi_function("rhc_gradient", horizon.loop_symbols, **shapes)
     def gradient(s, u, F, D, B, Q, QN, R, s_0, x_ref, u_ref, lower, upper):
         plan = planned(horizon, [u[place, :] for place in command], u_ref)
         nodes = roll_out(s, u, F, D, B, s_0, plan)

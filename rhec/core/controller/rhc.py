@@ -32,7 +32,7 @@ from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
 
 FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan
 
-# `options` checks these.
+# Not checked by pydantic: `options` checks them, and says more.
 Weights = SkipValidation[tuple[float, ...] | np.ndarray]
 OptionalWeights = SkipValidation[tuple[float, ...] | np.ndarray | None]
 Bounds = SkipValidation[dict[str, tuple[float, float] | Bound] | None]
@@ -79,7 +79,7 @@ class RHC(RealTimeLoop):
         terminal_bounds: Bounds of states and outputs at the horizon's end, instead of `bounds`.
 
     Raises:
-        ValueError: if an argument is invalid.
+        ValueError: If an argument is invalid.
     """
 
     _initial: InitialPlan | None = None
@@ -266,6 +266,9 @@ class RHC(RealTimeLoop):
 
         Returns:
             (n_u,) inputs of the first interval.
+
+        Raises:
+            ValueError: If an argument has another shape.
         """
         is_first = not self.iteration.started
         self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
@@ -300,6 +303,9 @@ class RHC(RealTimeLoop):
 
         Returns:
             (n_u,) inputs of the first interval.
+
+        Raises:
+            ValueError: If an argument has another shape.
         """
         self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
         self.iteration.solve(iterations)
@@ -335,6 +341,7 @@ class RHC(RealTimeLoop):
 
     def _start(self):
         # There is no previous plan: start from a given one, or a robot that stays where it is.
+        # By their places, because a subclass may have other names for them.
         x, p = list(self._inputs.values())[:2]
         u_ref = self.iteration.arrays["u_ref"][: self.problem.n_u]
         u = np.where(np.isfinite(u_ref), u_ref, 0.0)

@@ -35,11 +35,11 @@ class Sample(NamedTuple):
     m_predicted: Any  # (n_s,) mean before the measurements of this sample
     P_predicted: Any  # (n_s, n_s)
     A: Any  # (n_s, n_s) slope of the interval
-    deviance: Any  # what `correct` states of the measurements
+    deviance: Any  # how improbable the measurements were, as `correct` tells
 
     @property
     def memory(self):
-        """What the next sample takes, by the names of `Filter.memory_shapes`."""
+        """The memory for the next sample, by the names of `Filter.memory_shapes`."""
         return dict(m=self.m, P=self.P, v=self.v, started=1)
 
 
@@ -48,8 +48,8 @@ class Filter(NamedTuple):
 
     interval: Interval  # of the Model; `where_defined` is one for any Model
     dt_s: float  # length of a sample [s]
-    # The correction by the measurements and how improbable they were: `kalman.update`, or a
-    # function with its arguments and result that lets outliers count less.
+    # How the measurements correct the prediction: `kalman.update`, or a function with the same
+    # arguments and result in which outliers count less.
     correct: Callable[..., kalman.Update] = kalman.update
     # {place in the joint state: (lowest, highest)} within which the mean is kept
     bounds: Mapping[int, tuple[float, float]] = {}
@@ -99,7 +99,7 @@ class Filter(NamedTuple):
         return Sample(bounded, after.P, v, m, P, A, after.deviance)
 
     def _at_sample(self, z, ages_s, s, F, v, started):
-        """The measurements z, moved by what the model says that they changed since they were made.
+        """The measurements z, each plus the change that the model predicts since it was made.
 
         z + h(F) - h(state at dt_s - age) of each output, in an interval from s to F.
         """

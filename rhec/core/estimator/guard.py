@@ -139,10 +139,10 @@ def _shapes(function, *without):
     return {key: function.sparsity_in(key) for key in function.name_in() if key not in without}
 
 
-def _wrap_shift(window, shift_of_rhe, memory, kind):
+def _wrap_shift(window, shift_of_rhe, memory, symbols):
     remembered = noise_memory(window)
 
-    @casadi_function("guarded_shift", kind, **_shapes(shift_of_rhe, *window.by_node), **memory)
+    @casadi_function("guarded_shift", symbols, **_shapes(shift_of_rhe, *window.by_node), **memory)
     def shift(**inputs):
         noises = {name: inputs[_of_window(name)] for name in window.by_node}
         result = shift_of_rhe(**select_inputs(shift_of_rhe, inputs | noises))
@@ -154,12 +154,12 @@ def _wrap_shift(window, shift_of_rhe, memory, kind):
     return shift
 
 
-def _wrap_linearise(window, linearise_of_rhe, kind):
+def _wrap_linearise(window, linearise_of_rhe, symbols):
     if not window.by_node:
         return linearise_of_rhe
     shapes = _shapes(linearise_of_rhe, *window.by_node) | noise_memory(window)
 
-    @casadi_function("guarded_linearise", kind, **shapes)
+    @casadi_function("guarded_linearise", symbols, **shapes)
     def linearise(**inputs):
         noises = {name: inputs[_of_window(name)] for name in window.by_node}
         return linearise_of_rhe(**select_inputs(linearise_of_rhe, inputs | noises))
@@ -167,14 +167,14 @@ def _wrap_linearise(window, linearise_of_rhe, kind):
     return linearise
 
 
-def _wrap_feedback(window, feedback_of_rhe, judge, kind):
+def _wrap_feedback(window, feedback_of_rhe, judge, symbols):
     function = judge.build(window)
     shapes = _shapes(feedback_of_rhe) | _shapes(function)
     # The process noise of the sample has the name of the one by which the arrival cost grows.
     if "Q" in shapes:
         shapes["W"] = shapes.pop("Q")
 
-    @casadi_function("guarded_feedback", kind, **shapes)
+    @casadi_function("guarded_feedback", symbols, **shapes)
     def feedback(**inputs):
         given = inputs | (dict(Q=inputs["W"]) if window.noisy else {})
         verdict = function(**select_inputs(function, given))
@@ -193,7 +193,7 @@ def _wrap_feedback(window, feedback_of_rhe, judge, kind):
     return feedback
 
 
-def _wrap_expand(window, expand_of_rhe, judge, kind):
+def _wrap_expand(window, expand_of_rhe, judge, symbols):
     restarted = judge.build_restarted(window)
     pieces = judge.memory(window)
     shapes = _shapes(expand_of_rhe, "z_N", *window.by_node) | noise_memory(window)
@@ -203,7 +203,7 @@ def _wrap_expand(window, expand_of_rhe, judge, kind):
     if restarted:
         shapes |= _shapes(restarted, "goes_on", *window.by_node, *shapes) | dict(restart=(1, 1))
 
-    @casadi_function("guarded_expand", kind, **shapes)
+    @casadi_function("guarded_expand", symbols, **shapes)
     def expand(**inputs):
         noises = whole_noise(window, inputs)
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
@@ -220,19 +220,19 @@ def _wrap_expand(window, expand_of_rhe, judge, kind):
     return expand
 
 
-def with_guard(window, phases, kind):
+def with_guard(window, phases, symbols):
     """The phases {shift, linearise, feedback, expand} of an RHE with the window's judge.
 
     Args:
         window: The rhe.Window.
         phases: Its phases, in which expand takes the noises of all nodes, feedback the newest ones.
-        kind: SX or MX, of the Functions that call others.
+        symbols: SX or MX, of the Functions that call others.
     """
     judge = window.judge or BELIEVER
     memory = noise_memory(window) | judge.memory(window)
     return dict(
-        shift=_wrap_shift(window, phases["shift"], memory, kind),
-        linearise=_wrap_linearise(window, phases["linearise"], kind),
-        feedback=_wrap_feedback(window, phases["feedback"], judge, kind),
-        expand=_wrap_expand(window, phases["expand"], judge, kind),
+        shift=_wrap_shift(window, phases["shift"], memory, symbols),
+        linearise=_wrap_linearise(window, phases["linearise"], symbols),
+        feedback=_wrap_feedback(window, phases["feedback"], judge, symbols),
+        expand=_wrap_expand(window, phases["expand"], judge, symbols),
     )

@@ -35,17 +35,17 @@ def update(m, P, z, V, outputs, s_bar):
     deviance = 0
     distance = ca.SX(0)
     for output in outputs:
-        used = output.is_valid(z)
+        is_valid = output.is_valid(z)
         H = output.H(s_bar)
-        y = ca.if_else(used, output.residual(z, m, s_bar), 0)
+        y = ca.if_else(is_valid, output.residual(z, m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]
-        weight = used / S  # 1/S, and 0 without a measurement, which makes K and e zero
+        weight = is_valid / S  # 1/S, and 0 without a measurement, which makes K and e zero
         K = PH * weight
         m = m + K * y
         P = symmetric(P - K @ PH.T)
         gains.append(K)
         weighted.append(y * weight)
-        deviance += ca.if_else(used, y**2 / S + ca.log(S), 0)
+        deviance += ca.if_else(is_valid, y**2 / S + ca.log(S), 0)
         distance += y**2 * weight
     return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance, distance)

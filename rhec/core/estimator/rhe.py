@@ -10,7 +10,7 @@ that *ends* there, so it measures v_{i-1}. Only the feedback phase uses the newe
 The Gauss-Newton subproblem is a linear-Gaussian smoothing problem with bounds on some constants.
 Eliminating everything unbounded, from the oldest node to the newest, is exactly a Kalman filter
 over the window. It needs the covariance P = H_N⁻¹ only, never a dense Hessian. A QP in the bounded
-parameters θ remains. Its multipliers then run backwards through the window and yield all other
+parameters q remains. Its multipliers then run backwards through the window and yield all other
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
@@ -71,7 +71,8 @@ class Memory(NamedTuple):
 # Kalman update of the node before each; one interval, or all of the window side by side.
 Filtered = namedtuple("Filtered", "F D B K e")
 
-# The solution of the QP: the last Kalman update, multipliers of the bounds, and success.
+# What the feedback leaves to expand: the Kalman update of node N, the multipliers of the bounds,
+# and whether the estimate is `ok`.
 Constrained = namedtuple("Constrained", "K_N e_N multipliers ok")
 
 
@@ -102,14 +103,14 @@ class Window(NamedTuple):
 
     @property
     def shapes(self):
-        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's K and e, and θ."""
+        """Shapes (rows, columns) of s, of its covariance, of v, z, a node's K and e, and q."""
         n_s = self.interval.n_s
         v = (self.interval.n_v, 1)
         z = (len(self.model.outputs), 1)
         rows = len(self.interval.outputs)
         correction = dict(K=(n_s, rows), e=(rows, 1))
-        theta = (len(self.interval.bounds), 1)
-        return (n_s, 1), (n_s, n_s), v, z, correction, theta
+        q = (len(self.interval.bounds), 1)
+        return (n_s, 1), (n_s, n_s), v, z, correction, q
 
     @property
     def pieces(self):
@@ -171,7 +172,7 @@ class Window(NamedTuple):
 
 
 def _bounded(interval):
-    """Matrix C of zeros and ones that selects the bounded parameters θ = C s, and their bounds."""
+    """Matrix C of zeros and ones that selects the bounded parameters q = C s, and their bounds."""
     C = ca.DM.eye(interval.n_s)[[*interval.bounds], :]
     lower, upper = (ca.DM([b[side] for b in interval.bounds.values()]) for side in (0, 1))
     return C, lower, upper
@@ -250,7 +251,7 @@ def _build_shift(window):
 # Linearise: a Kalman filter from the oldest node to the newest, whose measurement is to come.
 
 
-def _build_linearise(window, loops):
+def _build_linearise(window, loop_symbols):
     interval = window.interval
     N = window.N
     s, P, v, z, *_ = window.shapes
@@ -269,7 +270,7 @@ def _build_linearise(window, loops):
         P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
-    @casadi_function("rhe_linearise", loops)
+    @casadi_function("rhe_linearise", loop_symbols)
     def linearise(memory: window.pieces, noises: window.noises):
         """Filtered of the whole window, the prediction of node N, and s̄_N."""
         s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
@@ -293,21 +294,21 @@ def _build_linearise(window, loops):
 
 def _build_update_newest(window):
     interval = window.interval
-    n_theta = len(interval.bounds)
+    n_q = len(interval.bounds)
     C, _, _ = _bounded(interval)
     s, _, _, z, *_ = window.shapes
 
     @casadi_function("rhe_newest")
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
-        """Kalman update by z_N, and the QP  min ½ (θ - θ̂)' H (θ - θ̂) with H = (C P C')⁻¹."""
+        """Kalman update by z_N, and the QP  min ½ (q - q̂)' H (q - q̂) with H = (C P C')⁻¹."""
         B, v, m, P = prediction.values()
         m, P = window.predict_input(B, m, P, v, z_N, **noise)
         m, P, K, e, deviance, _ = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
-        P_theta = C @ P @ C.T
-        if n_theta == 2:
-            H = ca.inv_minor(P_theta)
+        P_q = C @ P @ C.T
+        if n_q == 2:
+            H = ca.inv_minor(P_q)
         else:
-            H = ca.ldl_solve(ca.SX.eye(n_theta), *ca.ldl(P_theta, False))
+            H = ca.ldl_solve(ca.SX.eye(n_q), *ca.ldl(P_q, False))
         g = -H @ (C @ m)
         return dict(H=H, g=g, m=m, covariance=P, K_N=K, e_N=e, deviance=deviance)
 
@@ -316,7 +317,7 @@ def _build_update_newest(window):
 
 def _build_condition(window):
     interval = window.interval
-    s, P, v, z, correction, theta = window.shapes
+    s, P, v, z, correction, q = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
     newest = dict(s_N=s, B_N=interval.sparsities["B"], v_N=v, z_N=z)
     newest |= dict(K_N=correction["K"], e_N=correction["e"])
@@ -324,20 +325,20 @@ def _build_condition(window):
 
     @casadi_function("rhe_bounded")
     def condition(
-        H: H, m: s, covariance: P, x: theta, solved: (1, 1), newest: newest, noise: window.noise
+        H: H, m: s, covariance: P, q: q, solved: (1, 1), newest: newest, noise: window.noise
     ):
-        """The newest estimate given θ = x:  s = m - P C' λ,  λ = H (θ̂ - θ), P the covariance.
+        """The newest estimate given q:  s = m - P C' λ,  λ = H (q̂ - q), P the covariance.
 
         Where the solution is not finite, the estimate falls back to the prediction.
         """
         s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
-        multipliers = H @ (C @ m - x)
+        multipliers = H @ (C @ m - q)
         conditioned = m - covariance @ C.T @ multipliers
         ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(covariance), multipliers))
         s = ca.if_else(ok, conditioned, s_N)
         for i, place in enumerate(interval.bounds):
-            # θ exactly as the QP found it: s above may pass a bound by a rounding error.
-            s[place] = ca.if_else(ok, x[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
+            # q exactly as the QP found it: s above may pass a bound by a rounding error.
+            s[place] = ca.if_else(ok, q[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
         v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not window.quantities:
             # The last input as estimated; as measured where that is not finite.
@@ -355,25 +356,25 @@ def _build_condition(window):
     return condition
 
 
-def _build_feedback(window, loops):
-    n_theta = len(window.interval.bounds)
+def _build_feedback(window, loop_symbols):
+    n_q = len(window.interval.bounds)
     _, lower, upper = _bounded(window.interval)
     s, _, _, z, *_ = window.shapes
     update_newest = _build_update_newest(window)
     condition = _build_condition(window)
-    solve = box_qp(n_theta) if n_theta else None
+    solve = box_qp(n_q) if n_q else None
 
-    @casadi_function("rhe_feedback", loops if n_theta <= 2 else ca.MX)
+    @casadi_function("rhe_feedback", loop_symbols if n_q <= 2 else ca.MX)
     def feedback(s_N: s, prediction: window.prediction, z_N: z, noise: window.noise):
         """The estimate, by the Kalman update with z_N and the QP within the bounds."""
         inputs = dict(s_N=s_N, z_N=z_N) | prediction | noise
         updated = update_newest(**select_inputs(update_newest, inputs))
-        x = ca.DM(0, 1)
+        q = ca.DM(0, 1)
         solved = 1
-        if n_theta:
-            x, solved = solve(updated["H"], updated["g"], lower, upper)
-        given_theta = inputs | updated | dict(x=x, solved=solved)
-        estimate = condition(**select_inputs(condition, given_theta))
+        if n_q:
+            q, solved = solve(updated["H"], updated["g"], lower, upper)
+        given_q = inputs | updated | dict(q=q, solved=solved)
+        estimate = condition(**select_inputs(condition, given_q))
         return estimate | {name: updated[name] for name in ("K_N", "e_N", "deviance")}
 
     return feedback
@@ -460,8 +461,8 @@ def _build_next_window(window):
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
         restarted = Memory(s, v, ca.SX.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
-        solved = memory._replace(s=s_new, v=v_new)
-        return Memory(*(ca.if_else(kept, *pieces) for pieces in zip(solved, restarted)))
+        improved = memory._replace(s=s_new, v=v_new)
+        return Memory(*(ca.if_else(kept, *pieces) for pieces in zip(improved, restarted)))
 
     return next_window
 
@@ -502,7 +503,7 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
-def _build_expand(window, linearise, feedback, loops, whole_window):
+def _build_expand(window, linearise, feedback, loop_symbols, whole_window):
     N = window.N
     C, lower, upper = _bounded(window.interval)
     backward, oldest, forward = _build_passes(window)
@@ -511,24 +512,29 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     z_N = (memory.z[0], 1)
     noises = window.noises
     filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
-    solved = Constrained(*map(feedback.sparsity_out, Constrained._fields))
+    constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
-    @casadi_function("rhe_expand", loops)
+    @casadi_function("rhe_expand", loop_symbols)
     def expand(
-        memory: memory, noises: noises, P_0: memory.m, filtered: filtered, solved: solved, z_N: z_N
+        memory: memory,
+        noises: noises,
+        P_0: memory.m,
+        filtered: filtered,
+        constrained: constrained,
+        z_N: z_N,
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
         memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
         s, v = map(ca.horzsplit, (memory.s, memory.v))
-        measured, updates, intervals = _split(window, memory.z, noises, filtered, solved)
-        adjoint = ca.densify(C.T @ solved.multipliers)
+        measured, updates, intervals = _split(window, memory.z, noises, filtered, constrained)
+        adjoint = ca.densify(C.T @ constrained.multipliers)
         v_new, adjoint = _sweep_backward(backward, adjoint, intervals, s, v, measured, updates)
         first, descent = oldest(adjoint, *updates[0], memory.m, memory.P, s[0], *measured[0])
         s_new, descent = _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured)
-        theta = C @ s[N]
-        kkt = gauss_newton.kkt_tolerance(descent, solved.multipliers, lower - theta, upper - theta)
+        q = C @ s[N]
+        kkt = gauss_newton.kkt_tolerance(descent, constrained.multipliers, lower - q, upper - q)
         solution = dict(s_new=ca.horzcat(*s_new), v_new=ca.horzcat(*v_new))
-        kept = solved.ok * is_plausible(s_new[N])
+        kept = constrained.ok * is_plausible(s_new[N])
         if whole_window:  # no other node may stay implausible either: it would remain for long
             kept = kept * is_plausible(ca.veccat(*s_new, *v_new, memory.m, memory.P))
         pieces = memory._asdict() | solution
@@ -537,11 +543,11 @@ def _build_expand(window, linearise, feedback, loops, whole_window):
     return expand
 
 
-def _build_plain_phases(window, loops, whole_window):
+def _build_plain_phases(window, loop_symbols, whole_window):
     shift = _build_shift(window)
-    linearise = _build_linearise(window, loops)
-    feedback = _build_feedback(window, loops)
-    expand = _build_expand(window, linearise, feedback, loops, whole_window)
+    linearise = _build_linearise(window, loop_symbols)
+    feedback = _build_feedback(window, loop_symbols)
+    expand = _build_expand(window, linearise, feedback, loop_symbols, whole_window)
     return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
 
 
@@ -551,18 +557,18 @@ def build_phases(window):
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
     m_0 if the judge doubts the model.
     """
-    loops = compiled.loop_symbols()
+    loop_symbols = compiled.loop_symbols()
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
-    kind = loops if is_closed_form else ca.MX
+    symbols = loop_symbols if is_closed_form else ca.MX
     if window.model.state_bounds:
-        free = _build_plain_phases(window_bounds.without_bounds(window), loops, True)
-        phases = window_bounds.with_bounds(window, free, _build_next_window(window), loops)
+        free = _build_plain_phases(window_bounds.without_bounds(window), loop_symbols, True)
+        phases = window_bounds.with_bounds(window, free, _build_next_window(window), loop_symbols)
     else:
-        phases = _build_plain_phases(window, loops, window.doubts_model)
+        phases = _build_plain_phases(window, loop_symbols, window.doubts_model)
     if window.judge or window.noisy:
-        phases = with_guard(window, phases, kind)
-    return phases | dict(step=compose("rhe_step", phases, window.memory, kind))
+        phases = with_guard(window, phases, symbols)
+    return phases | dict(step=compose("rhe_step", phases, window.memory, symbols))
 
 
 def build_solvable(window):
@@ -681,10 +687,10 @@ def _outer_inputs(phases, memory):
     return {key: shape for key, shape in named if key not in computed}
 
 
-def compose(name, phases, memory, kind):
+def compose(name, phases, memory, symbols):
     """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
 
-    `memory` {name: shape} is packed in one vector; `kind` is SX or MX.
+    `memory` {name: shape} is packed in one vector; `symbols` are SX or MX.
     """
     order = [phases[phase] for phase in PHASES]
     inputs = {"z_N": phases["feedback"].size_in("z_N")}  # the measurement follows the memory
@@ -692,7 +698,7 @@ def compose(name, phases, memory, kind):
     candidates = ("estimate", "covariance", "deviance", "ok", "accepted", "restart")
     outputs = [key for key in candidates if key in phases["feedback"].name_out()]
 
-    @with_packed_memory(name, memory, kind, **inputs)
+    @with_packed_memory(name, memory, symbols, **inputs)
     def step(**values):
         values = run_phases(phases, values)
         return {key: values[key] for key in (*outputs, "kkt", *memory)}

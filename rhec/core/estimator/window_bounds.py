@@ -132,7 +132,7 @@ def _dynamics(shape, D, columns):
     )
 
 
-def _build_qp(window, loops):
+def _build_qp(window, loop_symbols):
     """The Function of the QP: (memory, noises, filtered, z_N, s*, v*) -> (s, v, kkt, ok)."""
     N = window.N
     n_v = window.interval.n_v
@@ -140,7 +140,7 @@ def _build_qp(window, loops):
     n = shape.n
     measured, whitened = _build_stage(window, shape)
     first = _build_first(window, shape)
-    solve = interior_point(shape, loops)
+    solve = interior_point(shape, loop_symbols)
     pieces = {name: getattr(window.pieces, name) for name in ("s", "v", "z", "P")}
     sparse = {name: ca.repmat(each, 1, N) for name, each in window.interval.sparsities.items()}
     best = dict(s_best=pieces["s"], v_best=pieces["v"])
@@ -164,24 +164,24 @@ def _build_qp(window, loops):
         s_new = ca.horzcat(*closed) + x[:n, 1:]
         v_new = [v[i] + sigmas[i] * x[n : n + n_v, i + 1] for i in range(N)]
         kkt = ca.fabs(ca.dot(g, x)) + solution["complementarity"]
-        return dict(s_new=s_new, v_new=ca.horzcat(*v_new), qp_kkt=kkt, qp_ok=solution["ok"])
+        return dict(s_new=s_new, v_new=ca.horzcat(*v_new), qp_kkt=kkt, qp_solved=solution["solved"])
 
     return qp
 
 
-def with_bounds(window, phases, next_window, loops):
+def with_bounds(window, phases, next_window, loop_symbols):
     """The phases {shift, linearise, feedback, expand} within the bounds of all nodes.
 
     Args:
         window: The rhe.Window.
         phases: The phases of the same window without bounds, see `without_bounds`.
         next_window: `rhe._build_next_window`.
-        loops: SX or MX, for Functions that repeat another.
+        loop_symbols: SX or MX, for Functions that repeat another.
     """
-    qp = _build_qp(window, loops)
+    qp = _build_qp(window, loop_symbols)
     feedback = _build_feedback(window, phases, qp)
-    solved = ("s_window", "v_window", "qp_kkt", "ok")
-    shapes = {name: feedback.sparsity_out(name) for name in solved}
+    from_feedback = ("s_window", "v_window", "qp_kkt", "ok")
+    shapes = {name: feedback.sparsity_out(name) for name in from_feedback}
     shapes |= {name: phases["expand"].sparsity_in(name) for name in ("z_N", "P_0")}
 
     @casadi_function("bounded_expand", ca.MX, **window.pieces._asdict(), **shapes)
@@ -217,7 +217,7 @@ def _build_feedback(window, phases, qp):
         restarted = smoothed["age"] != inputs["age"]
         s = _clipped(window, solution["s_new"])
         v = solution["v_new"]
-        ok = found["ok"] * ca.logic_not(restarted) * solution["qp_ok"]
+        ok = found["ok"] * ca.logic_not(restarted) * solution["qp_solved"]
         ok = ok * is_plausible(ca.veccat(s, v))
         last = ca.if_else(ok, s[:, -1], _clipped(window, inputs["s"])[:, -1])
         v_last = ca.if_else(ok, v[:, -1], inputs["v"][:, -1])

@@ -7,10 +7,10 @@ from rhec.core.solver.stage_qp import stage_qp
 
 
 def box_qp(n):
-    """Build the Function (H, g, lb, ub) -> (x, ok) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.
+    """Build the Function (H, g, lb, ub) -> (x, solved) that minimises ½ x'Hx + g'x, lb ≤ x ≤ ub.
 
     One and two variables have a closed form, more are solved by pivoting. Where the solution is not
-    finite, ok and x are 0.
+    finite, both results are 0.
     """
     if n > 2:
         return _box_qp_by_pivoting(n)
@@ -23,8 +23,8 @@ def box_qp(n):
             best = ca.fmin(ca.fmax(-g / H, lb), ub)
         else:
             best = _best_of_two(H, g, lb, ub)
-        ok = every(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
-        return dict(x=ca.if_else(ok, best, 0), ok=ok)
+        solved = every(ca.vertcat(best >= lb, best <= ub))  # also 0 where x is not a number
+        return dict(x=ca.if_else(solved, best, 0), solved=solved)
 
     return solve
 
@@ -52,11 +52,11 @@ def _box_qp_by_pivoting(n):
     no_bound = ca.MX.zeros(1, n)
     nothing = ca.Sparsity(0, 0)
     one_stage = dict(A_0=ca.DM(0, 0), D=nothing, B=ca.Sparsity(0, n), Q=nothing)
-    search = stage_qp(1, **one_stage, R=ca.Sparsity.dense(n, n), loops=ca.SX)
+    search = stage_qp(1, **one_stage, R=ca.Sparsity.dense(n, n), loop_symbols=ca.SX)
 
     @casadi_function(f"box_qp_{n}", ca.MX)
     def box_qp(H: (n, n), g: (n, 1), lb: (n, 1), ub: (n, 1)):
         solution = search(R=H, g=g.T, lower=lb.T, upper=ub.T, active=no_bound)
-        return dict(x=ca.fmin(ca.fmax(solution["x"].T, lb), ub), ok=solution["ok"])
+        return dict(x=ca.fmin(ca.fmax(solution["x"].T, lb), ub), solved=solution["solved"])
 
     return box_qp

@@ -36,8 +36,8 @@ _DOUBLINGS = 5
 MAX_ITERATIONS = 2**_DOUBLINGS  # then the search gives up; 8 to 15 are usual
 _CONVERGED = 1e-12  # mean of λ s and γ t, and error of the rows, at the end, relative to the start
 _OPTIMAL = 1e-20  # the same of what is left to gain, which is of second order
-_ACCEPTED = 1e-7  # mean of λ s and γ t, and error of the rows, of an `ok` solution
-_ACCEPTED_GAIN = 1e-14
+_TOLERANCE = 1e-7  # mean of λ s and γ t, and error of the rows, of a solution
+_TOLERANCE_GAIN = 1e-14
 _TO_BOUNDARY = 0.995  # share of the way to the nearest boundary that a step may go
 _NEAREST = 0.1  # smallest first distance to a bound, as a share of the row's largest
 _PROXIMAL = 1e-5  # δ relative to the compliance of a row
@@ -139,19 +139,19 @@ class Shape(NamedTuple):
         return [dict(zip(shapes, each)) for each in zip(*parts)]
 
 
-def interior_point(shape, loops):
-    """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, ok, …).
+def interior_point(shape, loop_symbols):
+    """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, solved, …).
 
     It takes D, B, H, g, G, lower and upper of the nodes 0 … N side by side, and the prices
     (n_soft,) of the soft rows; a bound of ±1e20 is none, and so is a linear price of 1e20. Where
-    the QP is not solved, ok and z are 0.
+    no solution is found, `solved` and z are 0.
 
     Args:
         shape: The Shape of the QP.
-        loops: SX or MX, for Functions that repeat a stage.
+        loop_symbols: SX or MX, for Functions that repeat a stage.
 
     Returns:
-        The Function. Its results are z (n + m, N+1), ok, the number of iterations,
+        The Function. Its results are z (n + m, N+1), solved, the number of iterations,
         complementarity = Σ λ |b + t|, which is 0 at a solution z = 0, and excess (n_soft,): how far
         rows without a price, which has to be kept, are exceeded; 0 for the others.
     """
@@ -159,8 +159,8 @@ def interior_point(shape, loops):
     one = (1, 1)
     state = shape.of_all_nodes(shape.point)
     state |= dict(scale=one, gap=one, error=one, gain=one, iterations=one)
-    start = _build_start(shape, loops)
-    search = _build_search(_build_iteration(shape, loops, problem, state), problem, state)
+    start = _build_start(shape, loop_symbols)
+    search = _build_search(_build_iteration(shape, loop_symbols, problem, state), problem, state)
     rows = (shape.n_rows, shape.N + 1)
     given = {name: problem[name] for name in "DBHg"}
     given |= dict(G=ca.repmat(shape.G, 1, shape.N + 1), lower=rows, upper=rows)
@@ -178,12 +178,14 @@ def interior_point(shape, loops):
         )
         begin = start(**stages)
         end = search(**stages | begin)
-        accepted = ca.vertcat(end["gap"], end["error"], end["gain"] * _ACCEPTED / _ACCEPTED_GAIN)
+        errors = ca.vertcat(end["gap"], end["error"], end["gain"] * _TOLERANCE / _TOLERANCE_GAIN)
         # The comparisons are also 0 where a number is none.
-        ok = every(ca.fabs(accepted) <= _ACCEPTED) * every(ca.fabs(end["z"]) < MAX_QP_ENTRY)
+        solved = every(ca.fabs(errors) <= _TOLERANCE) * every(ca.fabs(end["z"]) < MAX_QP_ENTRY)
         distance = _bounded(stages["b"])[1] + _of_all_sides(shape, end["t"])
         complementarity = ca.sum1(ca.vec(end["lam"] * ca.fabs(distance)))
-        results = dict(z=ca.if_else(ok, end["z"], 0), ok=ok, iterations=end["iterations"])
+        results = dict(
+            z=ca.if_else(solved, end["z"], 0), solved=solved, iterations=end["iterations"]
+        )
         excess = _excess(shape, stages, begin["widest"], end["t"])
         return results | dict(complementarity=complementarity, excess=excess)
 
@@ -228,7 +230,7 @@ def _widest(shape, b):
     return ca.if_else(own > _TINY, own, other) + _TINY
 
 
-def _build_start(shape, loops):
+def _build_start(shape, loop_symbols):
     """The first point: z = 0, with λ s = γ t, and what stays the same: prices, δ, scales.
 
     `scale` is the cost that the QP without bounds gains, and what it costs to leave each row whose
@@ -239,7 +241,7 @@ def _build_start(shape, loops):
     shapes |= dict(linear=shape.soft, quadratic=shape.soft)
     without_bounds = _build_without_bounds(shape)
 
-    @casadi_function("qp_start", loops, **shapes)
+    @casadi_function("qp_start", loop_symbols, **shapes)
     def start(**given):
         there, b = _bounded(given["b"])
         stages = shape.by_node(shape.stage, given)
@@ -312,7 +314,7 @@ def _build_search(iterate, problem, state):
             after = once(**inputs)
             unless_ended = ca.Function.if_else(f"{name}_or_not", ended, once)
             # Where rounding keeps the error of a row, more iterations would not lower it.
-            is_kept = (after["error"] <= _ACCEPTED) * (after["error"] > inputs["error"] / 2)
+            is_kept = (after["error"] <= _TOLERANCE) * (after["error"] > inputs["error"] / 2)
             error = ca.if_else(is_kept, 0, after["error"])
             worst = ca.fmax(ca.fmax(after["gap"], error) - _CONVERGED, after["gain"] - _OPTIMAL)
             # A comparison with a number that is none is false: then the search has ended as well.
@@ -560,12 +562,12 @@ def _build_direction(shape):
     return direction
 
 
-def _build_iteration(shape, loops, problem, state):
+def _build_iteration(shape, loop_symbols, problem, state):
     """One iteration: the step to λ s = γ t = 0, and from it the step to their new target."""
     direction = _build_direction(shape)
     measured = _build_measured(shape)
 
-    @casadi_function("qp_iteration", loops, **problem, **state)
+    @casadi_function("qp_iteration", loop_symbols, **problem, **state)
     def iterate(scale, iterations, **given):
         stages = shape.by_node(shape.stage, given)
         points = shape.by_node(shape.point, given)

@@ -34,13 +34,13 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
 
 
 def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
-    """Build a Function (problem …, active) -> (ok, x, multipliers), x and multipliers rows of N.
+    """Build a Function (problem …, active) -> (solved, x, multipliers); the last two are rows of N.
 
     `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
     multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
     guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
-    the solution is not finite. If the search gives up, after 2^doublings + 1 guesses, ok, x and
-    multipliers are 0.
+    the solution is not finite. If the search gives up, after 2^doublings + 1 guesses, all three
+    results are 0.
     """
     row = (1, N)
     one = (1, 1)
@@ -77,8 +77,10 @@ def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
         zeros = ca.MX.zeros(1, N)
         start = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
         end = search(**problem, active=active, **start)
-        ok = end["wrong"] == 0
-        return dict(ok=ok) | {name: ca.if_else(ok, end[name], 0) for name in ("x", "multipliers")}
+        solved = end["wrong"] == 0
+        return dict(solved=solved) | {
+            name: ca.if_else(solved, end[name], 0) for name in ("x", "multipliers")
+        }
 
     return search_from
 

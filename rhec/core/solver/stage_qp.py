@@ -18,13 +18,13 @@ from rhec.core.solver.gauss_newton import symmetric
 from rhec.core.solver.pivoting import DOUBLINGS, correct_guess, search_active_set
 
 
-def stage_qp(N, A_0, D, B, Q, R, loops, doublings=DOUBLINGS):
-    """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (ok, x, multipliers).
+def stage_qp(N, A_0, D, B, Q, R, loop_symbols, doublings=DOUBLINGS):
+    """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (solved, x, multipliers).
 
     The Function takes D and B of all intervals side by side. Its rows g, lower, upper, active, x
     and multipliers have N·m entries, interval by interval: `active` is 1 for an input at its upper
     bound, -1 at its lower, 0 at none; x holds the inputs; multipliers are positive at an upper
-    bound. Where the QP is not solved, ok, x and multipliers are 0.
+    bound. Where no solution is found, all three results are 0.
 
     Args:
         N: Number of stages.
@@ -33,7 +33,7 @@ def stage_qp(N, A_0, D, B, Q, R, loops, doublings=DOUBLINGS):
         B: Sparsity (n, m) of an interval's input matrix.
         Q: Sparsity (n, n) of the states' weights, Q and QN.
         R: Sparsity (m, m) of the inputs' weight.
-        loops: SX or MX, for the Function that repeats a stage.
+        loop_symbols: SX or MX, for the Function that repeats a stage.
         doublings: That of `search_active_set`.
     """
     n, m = B.shape
@@ -43,7 +43,7 @@ def stage_qp(N, A_0, D, B, Q, R, loops, doublings=DOUBLINGS):
     backward = _build_backward(A_0, D, B, Q, R)
     forward = _build_forward(A_0, D, B, R)
 
-    @casadi_function("qp_solve", loops, **problem, active=row)
+    @casadi_function("qp_solve", loop_symbols, **problem, active=row)
     def solve(D, B, Q, QN, R, g, lower, upper, active):
         D = ca.horzsplit(D, [i * n for i in range(N + 1)])
         B = ca.horzsplit(B, m)
