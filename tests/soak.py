@@ -20,6 +20,7 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
+from rhec.core.estimator.innovation_gate import patience
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import COLUMNS, COMMAND, ESTIMATE, TRUTH
 from rhec.simulation.faults import Fault
@@ -27,7 +28,7 @@ from rhec.simulation.scenario import Scenario
 
 LEG = 1500  # samples
 CHECK = 500  # samples between two looks at the arrival covariance
-FAILURES = "not_finite", "out_of_bounds", "not_definite"
+FAILURES = "not_finite", "out_of_bounds", "not_definite", "stuck"
 COUNTS = "done", *FAILURES, "not_ok", "outside", "digest"  # whole numbers of the state
 
 
@@ -124,11 +125,15 @@ def counted(scenario, setup, rows, memory):
     out_of_bounds |= np.abs(log["omega_cmd_radps"]) > scenario.omega_max_radps
     lowest = lowest_eigenvalue(setup.unpack(memory)["estimator"]["P"])
     distance_m, _ = setup.path.project(np.column_stack([log["x_m"], log["y_m"]]))
+    not_ok = log["ok"] != 1
+    longest = patience(scenario.estimation_horizon)
+    recent = np.convolve(not_ok, np.ones(longest + 1))  # how many of the last longest + 1
     counts = dict(
         not_finite=int((~finite).any(axis=0).sum()),
         out_of_bounds=int(out_of_bounds.sum()),
         not_definite=int(not lowest > 0),
-        not_ok=int((log["ok"] != 1).sum()),
+        stuck=int((recent > longest).sum()),
+        not_ok=int(not_ok.sum()),
         outside=int((distance_m > paper.TOLERANCE_M).sum()),
     )
     return counts, lowest

@@ -147,7 +147,7 @@ def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
     first = [dict(zip(QUANTITIES, values)) for values in (guess, sigma)]
     memory, rows = packing.pack_array(of.init(choice_of(name, 5), *first)), []
     n, n_w = len(z), of.n_sigma_w(choice_of(name, 5))
-    given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w))
+    given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w), m_0=guess[:n_w])
     told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
     for reading, p in zip(z, told):
         known = given | dict(memory=memory, z_N=reading, traction=p)
@@ -233,7 +233,7 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
     )
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
     for reading, estimate, covariance in zip(z, estimates, covariances):
-        result = step(memory=memory, z_N=reading, V=V, W=W, P_0=np.ones(6))
+        result = step(memory=memory, z_N=reading, V=V, W=W, P_0=np.ones(6), m_0=guess)
         memory = result["memory"]
         np.testing.assert_allclose(estimate, flat(result["estimate"]), atol=1e-6)
         np.testing.assert_allclose(covariance, np.array(result["covariance"])[:4, :4], atol=1e-6)

@@ -72,7 +72,9 @@ def test_a_singular_arrival_covariance_does_no_lasting_harm(given, value):
     """
     rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
     estimates, solved = estimated(rhe, Z[:SOON], lambda rhe: arrival_covariance(rhe).fill(value))
-    assert sound(estimates) and np.sum(~solved) <= 1 and solved[HIT + 2 :].all()
+    # Of 1e300 nothing but rounding is left within the window, so that the gate may reject there a
+    # sample that is good: the sixth after it.
+    assert sound(estimates) and np.sum(~solved) <= 1 and solved[HIT + 1 + N :].all()
     assert np.abs(estimates - TRUTH[:SOON])[HIT + 3 * N :, :3].max() < 0.15
     P = arrival_covariance(rhe)
     np.testing.assert_array_equal(P, P.T)

@@ -350,10 +350,24 @@ def test_other_choices_drive_too():
             dict(prediction_horizon=8, estimation_horizon=10),
             dict(look_ahead_m=0.3),
             dict(gnss_slow_share=0.5),
-            dict(patches=((15.0, 0.0, 2.0, 0.4, 0.4),)),
         ):
             log = simulated(**changes).log
             assert log["ok"].all() and log["error_true_m"][200:].mean() < 0.1, changes
+
+
+def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
+    """The gate cannot tell it from outliers before the fourth sample, at which the window restarts."""
+    x_m, y_m, radius_m = 15.0, 0.0, 2.0
+    with no_compiler():
+        log = simulated(patches=((x_m, y_m, radius_m, 0.4, 0.4),)).log
+    inside = np.hypot(log["x_m"] - x_m, log["y_m"] - y_m) < radius_m
+    edges = np.flatnonzero(np.diff(inside.astype(int)))
+    rejected = np.flatnonzero(log["ok"] != 1)
+    after = rejected[:, None] - edges
+    is_soon = (after >= 0) & (after <= 15)  # the window's length
+    assert len(edges) == 2 and is_soon.any(axis=1).all() and (is_soon.sum(axis=0) <= 3).all()
+    assert len(rejected) > 0 and log["restarted"].sum() <= 2
+    assert log["error_true_m"][200:].mean() < 0.1
 
 
 # Parts of one's own

@@ -29,18 +29,18 @@ def assert_equal_states(one, other):
 
 def test_five_hours_with_sensor_faults():
     """100,000 samples: no exception, everything finite and within its bounds, the arrival
-    covariance positive definite, memory flat.
+    covariance positive definite, the estimator never rejects for longer than its patience, memory
+    flat.
     """
     command = [sys.executable, "-m", "tests.soak", "--samples", "100000", "--seed", "1"]
     root = Path(soak.__file__).parents[1]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout[done.stdout.index("{") :])
-    assert (
-        report["done"] == 100_000
-        and report["not_finite"] == report["out_of_bounds"] == report["not_definite"] == 0
-    )
-    assert 0 < report["lowest_eigenvalue"] < 1 and report["not_ok"] < 1000
+    assert report["done"] == 100_000 and not any(report[name] for name in soak.FAILURES)
+    # Of seeds 1, 2, 3: 2643, 2966, 2753, at most 44 in a row. Most are 1 to 3 in a row, where GNSS
+    # is up to 3 times as noisy as assumed, at edges of patches, and in the 1 s to 30 s of outliers.
+    assert 0 < report["lowest_eigenvalue"] < 1 and report["not_ok"] < 4000
     assert report["memory_mb_at_the_end"] - report["memory_mb_at_one_tenth"] < 5
 
 
@@ -78,7 +78,7 @@ def test_each_kind_of_failure_is_counted():
     state = soak.drive(soak.init(BASE, 0), BASE, 20)
     scenario = soak.leg(BASE, 0, 0)
     setup = closed_loop.set_up(scenario)
-    healthy = np.zeros((5, len(COLUMNS)))
+    healthy = np.zeros((60, len(COLUMNS)))
     healthy[:, COLUMNS.index("ok")] = 1
 
     def found(memory=state["memory"], **wrong):
@@ -100,6 +100,11 @@ def test_each_kind_of_failure_is_counted():
     ):
         assert found(**{name: value}) == {"out_of_bounds": 1}
     assert found(ok=0) == {"not_ok": 1} and found(y_m=-3) == {"outside": 1}
+    healthy[:45, COLUMNS.index("ok")] = 0  # as many as the gate of 15 intervals has patience for
+    assert found() == {"not_ok": 45}
+    healthy[45, COLUMNS.index("ok")] = 0
+    assert found() == {"not_ok": 46, "stuck": 1}
+    healthy[:, COLUMNS.index("ok")] = 1
     for row, column, factor in ((0, 0, -1), (0, 1, 2), (0, 0, 1e-30), (5, 5, np.nan)):
         memory = state["memory"].copy()
         P = setup.unpack(memory)["estimator"]["P"]

@@ -159,9 +159,10 @@ class InnovationGate(guard.Judge):
         variances = ca.diag(result["covariance"])
         has_variances = ca.mmin(variances) > 0
         kept = result["ok"] * has_variances * (ca.mmax(variances) <= MAX_PLAUSIBLE_STATE)
-        counts = ("rejected_after", "in_line_after", "missing_after")
         flags = dict(ok=kept * verdict["agrees"], kept=kept, restart=kept * verdict["restart"])
-        return flags | {name: kept * verdict[name] for name in counts}
+        # A window that fails forgets: what its prediction left here may not be a number.
+        after = [f"{name}_after" for name in self.memory(window)]
+        return flags | {name: ca.if_else(kept, verdict[name], 0) for name in after}
 
     def build_restarted(self, window):
         """The memory of a window that restarts at its newest sample, unless it goes on.
