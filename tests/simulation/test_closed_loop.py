@@ -356,7 +356,7 @@ def test_other_choices_drive_too():
 
 
 def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
-    """The gate cannot tell it from outliers before the fourth, at which the window restarts."""
+    """The gate cannot tell it from outliers before the fourth sample: the window restarts there."""
     x_m, y_m, radius_m = 15.0, 0.0, 2.0
     with no_compiler():
         log = simulated(patches=((x_m, y_m, radius_m, 0.4, 0.4),)).log
