@@ -122,12 +122,17 @@ def test_beside_a_wild_input_the_position_is_used():
 
 @pytest.mark.parametrize(("variance", "is_ok"), [(1.0, 1), (0.0, 0), (-1e-9, 0), (1e13, 0)])
 def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
-    counts = dict.fromkeys(("rejected_after", "in_line_after", "missing_after"), 3)
-    verdict = dict(agrees=1, restart=1) | counts
+    """A window without one forgets what the gate remembered."""
+    gate = InnovationGate()
+    window = rhec.RHE().window
+    remembered = {
+        f"{name}_after": ca.DM.ones(*shape) for name, shape in gate.memory(window).items()
+    }
     result = dict(ok=ca.DM(1), covariance=ca.diag(ca.DM([1.0, variance])))
-    flags = InnovationGate().conclude(None, verdict, result)
+    flags = gate.conclude(window, dict(agrees=1, restart=1) | remembered, result)
     assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
-    assert flags["rejected_after"] == 3 * is_ok
+    for name in remembered:
+        assert (flags[name].full() == is_ok).all()
 
 
 def test_the_live_estimator_is_that_of_the_loop_and_has_no_kkt_where_it_is_not_ok():
