@@ -128,6 +128,12 @@ def _conditions(text):
 # The picture of an interval
 
 
+def _value_and_interval(row, prefix):
+    """Value, low and high end of a finding; one run has no interval, and is its own ends."""
+    value, low, high = (row[f"{prefix}{name}"] for name in ("value", "low", "high"))
+    return [value, value if low == "" else low, value if high == "" else high]
+
+
 def interval(row):
     """The places [px] of a claim's interval, its rule's limits and the paper's number on one scale.
 
@@ -142,7 +148,7 @@ def interval(row):
         is no number to draw.
     """
     findings = {
-        kind: [row[f"{prefix}{name}"] for name in ("value", "low", "high")]
+        kind: _value_and_interval(row, prefix)
         for kind, prefix in (("here", ""), ("other", "other_"))
         if row[f"{prefix}n"] and row[f"{prefix}value"] != ""
     }
