@@ -170,7 +170,8 @@ def _module(own):
         },
         places=_places(setup),
         states=estimator_of(choice.estimator).states(choice),
-        sigma_w={name: sigma_w[name] for name in noises},
+        # Of an estimator that is not the paper's none is printed.
+        sigma_w={name: sigma_w.get(name, sigma_w["likelihood"]) for name in noises},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),
