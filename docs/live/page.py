@@ -172,6 +172,7 @@ def _module(own):
         states=estimator_of(choice.estimator).states(choice),
         # Of an estimator that is not the paper's none is printed.
         sigma_w={name: sigma_w.get(name, sigma_w["likelihood"]) for name in noises},
+        is_printed="printed" in sigma_w,
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),

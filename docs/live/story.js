@@ -23,7 +23,8 @@ async function drive_step(step, { soil, sigma }) {
   if (step.key === key) return;
   const loop = step.loop ??= await Loop.of(step.run.module, world);
   const sigma_w = [...loop.data.sigma_w[step.run.noise]];
-  if (sigma) sigma_w[5] = sigma;
+  const of_kappa = sigma ?? step.run.sigma;
+  if (of_kappa) sigma_w[5] = of_kappa;
   const values = { ...world.defaults, sigma_w };
   step.soil = await world.soil(values.seed, soil, [], values.start_offset_m);
   loop.run(values, await world.stream(values.seed, false), step.soil, Math.round(120 / world.dt_s));

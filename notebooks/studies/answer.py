@@ -306,15 +306,17 @@ def bar(folder=RESULTS, link=LEDGER):
 
     Args:
         folder: Folder of the tables.
-        link: Where the parts of the bar lead.
+        link: Where the parts of the bar lead, or None.
     """
     counts = verdict_counts(pd.read_csv(folder / "claims.csv"))["claims"]
     parts = [
-        f"[{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}]({link})"
+        f"{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}"
         for verdict, count in counts.items()
         if count
     ]
-    return f"Of the {counts.sum()} sentences of the paper that were judged: {' '.join(parts)}"
+    if link:
+        parts = [f"[{part}]({link})" for part in parts]
+    return f"Of the {counts.sum()} sentences of the paper that were judged: {' · '.join(parts)}"
 
 
 def to_markdown(frame):

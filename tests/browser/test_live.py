@@ -251,7 +251,8 @@ def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
         estimate = ekf.feedback(z_N)
         np.testing.assert_allclose(seen["kalman"][k], [*estimate.x, *estimate.p], atol=1e-6)
     apart = np.subtract(seen["shortest"], seen["kalman"])[25:, :2]
-    assert 1e-6 < np.linalg.norm(apart, axis=1).max() < 2e-4
+    # With W by likelihood a window of one interval is nearly the filter; it is linearised anew.
+    assert 1e-6 < np.linalg.norm(apart, axis=1).max() < 1e-3
     for z_N in z[: last + 1]:
         mhe.prepare()
         estimate = mhe.feedback(z_N)
