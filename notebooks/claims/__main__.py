@@ -4,6 +4,8 @@ Without an id it lists all claims with the verdicts of the ledger.
 """
 
 import argparse
+import os
+import sys
 
 from notebooks.claims import summary
 
@@ -34,4 +36,8 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except BrokenPipeError:
+        # What reads the list has ended, as in `make claim | head`; nothing more can be printed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
