@@ -148,8 +148,11 @@ def in_short(table):
     numbers = _indexed(table)
     has_error, _ = _says_rhe(numbers)
     in_order, _ = _says_order(numbers)
-    answers = {has_error[:2], in_order[:2]}
-    short = {frozenset(["ye"]): "Yes", frozenset(["no"]): "No"}.get(frozenset(answers), "In part")
+    short = "In part"
+    if has_error.startswith("yes") and in_order.startswith("yes"):
+        short = "Yes"
+    elif has_error.startswith("no") and in_order.startswith("no"):
+        short = "No"
     return f"{short}. The RHE's mean error: {has_error} The RHE before the EKF: {in_order}"
 
 

@@ -43,10 +43,8 @@ SIGMA = [
     "sigma_arm_forward_m",
     "sigma_arm_left_m",
 ]
-AGE = ["x_meas_m_age_s", "y_meas_m_age_s"]
 # Sensors besides GNSS and encoders: the columns of their measurements, and of a gyro's estimates.
 SENSORS = dict(gyro="gyro_meas_radps", heading="heading_meas_rad")
-HEADING_AGE = "heading_meas_rad_age_s"
 GYRO = ["gyro_bias_hat_radps", "gyro_scale_hat"]
 GYRO_ACCEPTED = "gyro_accepted"
 SIGMA_GYRO = ["sigma_gyro_bias_radps", "sigma_gyro_scale"]

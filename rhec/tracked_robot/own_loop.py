@@ -104,12 +104,20 @@ class RHE(rhe.RHE):
             expected = f"with speed_model {speed_model!r} it should have {n_w} entries"
             raise ValueError(f"sigma_w was {sigma_w!r}; {expected}")
         # By the names of a Scenario's fields.
-        noise = dict(process_noise=process_noise, sigma_w=sigma_w, sigma_v=sigma_v, slip=slip)
-        of_sensors = dict(sigma_gyro=sigma_gyro, sigma_heading=sigma_heading)
-        of_sensors |= dict(sensors=tuple(name for name in OUTPUTS if name in sensors))
-        structure = dict(estimator="rhe", estimation_horizon=horizon, speed_model=speed_model)
-        structure |= dict(arrival_mean=arrival_mean, track_width_m=track_width_m)
-        given = SimpleNamespace(**noise, **of_sensors, **structure)
+        given = SimpleNamespace(
+            estimator="rhe",
+            estimation_horizon=horizon,
+            process_noise=process_noise,
+            sigma_w=sigma_w,
+            sigma_v=sigma_v,
+            speed_model=speed_model,
+            slip=slip,
+            arrival_mean=arrival_mean,
+            sensors=tuple(name for name in OUTPUTS if name in sensors),
+            sigma_gyro=sigma_gyro,
+            sigma_heading=sigma_heading,
+            track_width_m=track_width_m,
+        )
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
         self._load(rhe.build_phases, window, settings_of(given, dt))
