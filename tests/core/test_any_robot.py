@@ -12,7 +12,6 @@ from helpers import controller, estimator, fused_sample, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import (
-    drive_robot,
     flat,
     kalman_filter,
     limits,
@@ -86,18 +85,6 @@ def test_on_a_linear_robot_the_ekf_is_the_kalman_filter():
         m, P, _ = kalman_filter(z[: k + 1], guess, *CART.estimator_sigmas, leaving=k)
         np.testing.assert_allclose(np.append(estimate.x, estimate.p), m, rtol=0, atol=1e-9)
         np.testing.assert_allclose(estimate.covariance, P, rtol=0, atol=1e-9)
-
-
-def test_the_two_oracles_agree_where_both_apply():
-    """IPOPT on all samples and the Kalman filter, on the linear robot."""
-    rng = np.random.default_rng(2)
-    for _ in range(10):
-        guess, z = mhe_instance(CART, rng, missing=0.2)
-        optimum = mhe_by_ipopt(CART, guess, z)
-        m, P, u = kalman_filter(z, guess, *CART.estimator_sigmas, leaving=0)
-        np.testing.assert_allclose(np.append(optimum["x"], optimum["p"]), m, atol=1e-8)
-        np.testing.assert_allclose(optimum["covariance"], P, atol=1e-9)
-        np.testing.assert_allclose(optimum["u"], [u], atol=1e-8)
 
 
 # The nonlinear problems
@@ -187,23 +174,6 @@ def test_the_plan_is_a_trajectory_of_the_model_from_the_state(robot):
             np.testing.assert_allclose(states[:, i + 1], np.array(after)[:, 0], atol=1e-8)
 
 
-@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
-def test_without_noise_a_robot_is_tracked_exactly(robot):
-    """So every measurement counts where it belongs: an output at its node, an input in the interval
-    that ends there.
-    """
-    rng = np.random.default_rng(8)
-    x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
-    inputs = np.mean(robot.u_range, axis=0) + 0.1 * rng.normal(size=(3 * N, len(robot.inputs)))
-    truth, z = drive_robot(robot, x, inputs, p)
-    mhe = estimator(robot, np.append(x, p))
-    for k, estimate in enumerate(estimates(mhe, z, iterations=10)):
-        np.testing.assert_allclose(estimate.x, truth[k], atol=1e-8)
-        np.testing.assert_allclose(estimate.p, p, atol=1e-8)
-        if k:
-            np.testing.assert_allclose(estimate.u, inputs[k - 1], atol=1e-8)
-
-
 # One model, three forms
 
 
@@ -260,34 +230,6 @@ def test_a_replayed_log_gives_the_estimates_of_the_live_objects(robot):
 
 
 # Whatever comes
-
-
-def answers(robot, z):
-    """All that an estimator and a controller say along z, as one array."""
-    mhe, mpc = estimator(robot, np.zeros(len(robot.sigma_w))), controller(robot)
-    problem, said = mpc_instance(robot, np.random.default_rng(9)), []
-    for estimate in estimates(mhe, z):
-        mpc.prepare()
-        u = mpc.feedback(**problem | dict(x=estimate.x, p=estimate.p))
-        said.append(np.concatenate([estimate.x, estimate.u, estimate.p, *estimate.covariance, u]))
-    return np.array(said)
-
-
-@pytest.mark.parametrize("robot", ROBOTS.values(), ids=names)
-def test_the_same_seed_gives_the_same_bits(robot):
-    _, z = mhe_instance(robot, np.random.default_rng(10), 3 * N, missing=0.2)
-    np.testing.assert_array_equal(answers(robot, z), answers(robot, z))
-
-
-@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
-def test_the_estimate_has_the_shapes_of_the_model(robot):
-    guess, z = mhe_instance(robot, np.random.default_rng(11), 2 * N)
-    n_x, n_u, n_p = len(robot.states), len(robot.inputs), len(robot.parameters)
-    for estimate in estimates(estimator(robot, guess), z):
-        assert estimate.x.shape == (n_x,) and estimate.u.shape == (n_u,)
-        assert estimate.p.shape == (n_p,) and estimate.covariance.shape == (n_x + n_p, n_x + n_p)
-        np.testing.assert_array_equal(estimate.covariance, estimate.covariance.T)
-        assert np.linalg.eigvalsh(estimate.covariance).min() > 0
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
@@ -348,19 +290,6 @@ def test_a_missing_input_is_bridged(robot):
     ]
     np.testing.assert_allclose(*seen, atol=0.1)
     assert np.trace(found[13].covariance) > np.trace(complete[13].covariance)
-
-
-def test_a_measurement_that_is_missing_altogether_is_a_prediction():
-    guess, z = mhe_instance(BICYCLE, np.random.default_rng(13), 2 * N)
-    mhe = estimator(BICYCLE, guess)
-    before = estimates(mhe, z)[-1]
-    mhe.prepare()
-    after, (expected, _) = (
-        mhe.feedback(np.full(4, np.nan)),
-        plant(BICYCLE)(before.x, before.u, before.p),
-    )
-    np.testing.assert_allclose(after.x, np.array(expected)[:, 0], atol=0.02)
-    np.testing.assert_allclose(after.u, before.u, atol=0.02)
 
 
 def test_without_prepare_feedback_is_refused():
@@ -460,19 +389,6 @@ def test_a_bad_estimator_is_refused_in_one_sentence(where, bad):
     rhec.RHE(**good, horizon=N), rhec.EKF(**good)
     refuses(where, lambda: rhec.RHE(**dict(horizon=N) | good | bad))
     refuses(where, lambda: rhec.EKF(**good | bad))
-
-
-@pytest.mark.parametrize(
-    "where, bad",
-    [
-        ("horizon", dict(horizon=1)),
-        ("horizon", dict(horizon=2.5)),
-        ("arrival_mean", dict(arrival_mean="best")),
-        ("RHE", dict(sigmav=(1,) * 4)),
-    ],
-)
-def test_a_bad_window_is_refused_in_one_sentence(where, bad):
-    refuses(where, lambda: estimator(SKID_STEERED, (0.0,) * 5, **bad))
 
 
 BOUNDS = SKID_STEERED.bounds

@@ -240,6 +240,7 @@ def test_iterated_to_convergence():
         np.testing.assert_array_equal(found.x[4], single.solve(given.z[k, 4], iterations=7).x)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("what", ["rhe", "rhc", "ekf"])
 def test_without_lanes_it_is_the_same_and_says_so(what, monkeypatch, capsys):
     given = problem("skid_steered")
@@ -259,6 +260,7 @@ def test_without_lanes_it_is_the_same_and_says_so(what, monkeypatch, capsys):
     lanes.load.cache_clear()
 
 
+@pytest.mark.nightly
 def test_without_a_compiler_it_is_the_same_up_to_rounding():
     given = problem("skid_steered")
     in_turn(given.make_rhe, given.readings, 9)

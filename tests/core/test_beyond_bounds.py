@@ -118,6 +118,7 @@ def test_a_reactor_at_its_lowest_level_is_ok(price):
     assert all(oks) and min(levels) >= -5 - 1e-6 and levels[-1] == pytest.approx(-5, abs=1e-6)
 
 
+@pytest.mark.nightly
 def test_a_price_far_above_the_multiplier_of_a_bound_that_is_almost_reached():
     """do-mpc's reactor creeps up to 140 °C, whose price exceeds all that is left to gain by 1e9."""
     problem = constrained_gallery.cstr()

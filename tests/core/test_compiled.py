@@ -63,13 +63,6 @@ def libraries(cache):
 
 
 @needs_compiler
-def test_processes_may_build_the_same_at_once(tmp_path):
-    first, second, third = [start(tmp_path) for _ in range(3)]
-    assert answer(first) == answer(second) == answer(third)
-    assert len(libraries(tmp_path)) == len(list(tmp_path.iterdir())) == 1
-
-
-@needs_compiler
 def test_one_of_several_processes_compiles(tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"
     compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] || echo once >> {calls}\nexec cc "$@"\n')
@@ -117,14 +110,6 @@ def test_a_lock_is_that_of_the_file_that_is_there(tmp_path, monkeypatch):
     assert held[0] and not lock.exists()
 
 
-def test_a_library_is_reused(tmp_path):
-    answer(start(tmp_path))
-    (library,) = tmp_path.glob("*/library.so")
-    made = library.stat().st_mtime_ns
-    answer(start(tmp_path))
-    assert library.stat().st_mtime_ns == made
-
-
 @needs_compiler
 def test_a_compilation_is_announced_once_at_a_terminal(tmp_path):
     terminal, stderr = os.openpty()
@@ -149,6 +134,7 @@ def test_a_compilation_is_announced_once_at_a_terminal(tmp_path):
     assert quiet.stderr == b""
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_another_structure_or_another_source_is_another_library(tmp_path):
     answer(start(tmp_path / "cache"))
@@ -237,6 +223,7 @@ FAILING = {
 }
 
 
+@pytest.mark.nightly(keep=2)
 @needs_compiler
 @pytest.mark.parametrize("how", FAILING)
 def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path, expected, how):
@@ -270,6 +257,7 @@ def mounted(options, cache, elsewhere=None):
     )
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
 def test_a_cache_that_cannot_be_used_is_replaced_by_a_temporary_one(tmp_path, expected, options):
@@ -278,6 +266,7 @@ def test_a_cache_that_cannot_be_used_is_replaced_by_a_temporary_one(tmp_path, ex
     assert len(list(tmp_path.glob("rhec-*/*/library.so"))) == 1
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
 def test_without_any_folder_for_code_there_is_the_virtual_machine(tmp_path, expected, options):
@@ -287,6 +276,7 @@ def test_without_any_folder_for_code_there_is_the_virtual_machine(tmp_path, expe
     assert line.endswith(VIRTUAL_MACHINE)
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("variable", ["RHEC_CACHE", "XDG_CACHE_HOME", "HOME"])
 def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expected, variable):
@@ -327,6 +317,7 @@ def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, expected, how):
 DAQP = "from condensed_rhc import rhc_by; rhc_by('daqp', horizon=2).prepare()"
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_library_does_not_know_the_environment_that_built_it(tmp_path):
     places = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
@@ -372,6 +363,7 @@ def given_away(path):
     os.chown(path, 65534, -1)
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("how", [given_away, lambda path: path.chmod(0o777)])
 def test_a_cache_that_others_can_write_to_is_not_used(planted, tmp_path, expected, how):
@@ -384,6 +376,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(planted, tmp_path, expecte
     assert err.count("\n") == 1
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_link_in_place_of_the_temporary_folder_is_not_followed(planted, tmp_path, expected):
     cache, mark = planted

@@ -184,25 +184,6 @@ def test_changes_have_weights_and_bounds():
     assert active >= 4
 
 
-def test_a_soft_bound_that_costs_enough_is_a_hard_one():
-    """With a linear price above its multiplier; below it, the bound is exceeded."""
-    rng, exceeded = np.random.default_rng(2), 0
-    controllers = {"hard": controller(CART)}
-    for price in (0.02, 1e3):
-        soft = rhec.Bound(-0.5, 0.6, linear=price)
-        controllers[price] = controller(CART, bounds=CART["bounds"] | dict(velocity_mps=soft))
-    for _ in range(10):
-        given, plans = cart_instance(rng), {}
-        for name, mpc in controllers.items():
-            mpc.iteration.started = False
-            mpc.solve(**given, u_ref=(0.0,), iterations=2)
-            plans[name] = mpc.x_plan[1]
-            assert mpc.ok
-        np.testing.assert_allclose(plans[1e3], plans["hard"], rtol=0, atol=1e-7)
-        exceeded += plans[0.02].min() < -0.51 or plans[0.02].max() > 0.61
-    assert exceeded >= 5
-
-
 def test_soft_bounds_cost_what_was_said():
     """A linear and a quadratic price, as IPOPT finds."""
     soft = rhec.Bound(-0.5, 0.6, linear=0.1, quadratic=3.0)
@@ -249,20 +230,6 @@ def test_full_weights_and_outputs_are_the_same_cost_in_other_words():
     np.testing.assert_allclose(output.u_plan, matrix.u_plan, rtol=0, atol=1e-7)
 
 
-def test_without_active_bounds_it_is_the_controller_of_bounded_commands():
-    """The interior point and the active set, whatever the path that leads there."""
-    plain = controller(CART, bounds=dict(acceleration_mps2=(-1, 1)))
-    wide = controller(CART, bounds=dict(acceleration_mps2=(-1, 1), velocity_mps=(-99, 99)))
-    rng = np.random.default_rng(4)
-    for _ in range(10):
-        given, plans = cart_instance(rng), []
-        for mpc in (plain, wide):
-            mpc.prepare()
-            mpc.feedback(**given, u_ref=(0.0,))
-            plans.append(mpc.u_plan)
-        np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-8)
-
-
 def test_terminal_bounds_hold_at_the_end_alone():
     given = dict(x=(1.0, 0.0), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
     free = controller(CART)
@@ -287,13 +254,6 @@ def test_numbers_change_between_samples_without_a_new_controller():
     plain = controller(CART, bounds=None)
     plain.update(bounds=dict(acceleration_mps2=(-0.1, 0.1)))
     assert plain.feedback(**given) == -0.1
-
-
-def test_a_weight_of_zero_is_allowed_where_others_decide():
-    """One command, and a weighed state that it moves: dead beat on the velocity."""
-    mpc = controller(CART, q=(0.0, 1.0), r=(0.0,), bounds=None)
-    mpc.solve((0.0, 0.5), (0.0,), (0.0, 0.0), (0.0,), iterations=2)
-    assert mpc.ok and mpc.x_plan[1, 1] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,7 @@ def test_a_structure_that_is_loaded_often_is_replaced_with_the_same_bits(cache):
     assert early.load(build_pendulum, 3) is optimised
 
 
+@pytest.mark.nightly
 def test_where_nobody_waits_more_loads_are_needed(cache, monkeypatch):
     monkeypatch.setenv("RHEC_UNATTENDED", "1")
     first = early.load(build_pendulum, 3)
@@ -156,6 +157,7 @@ def test_without_a_compiler_not_even_an_early_library_is_used(cache, monkeypatch
     monkeypatch.undo()
 
 
+@pytest.mark.nightly
 def test_structures_compile_at_the_same_time(cache, tmp_path, monkeypatch):
     """Each compiler waits until the other one has begun; alone it would wait for ever."""
     begun = tmp_path / "begun"
@@ -175,6 +177,7 @@ def test_structures_compile_at_the_same_time(cache, tmp_path, monkeypatch):
     assert not np.array_equal(rows_of(one), rows_of(other))
 
 
+@pytest.mark.nightly
 def test_where_optimising_fails_the_first_library_stays(tmp_path):
     compiler = tmp_path / "cc"
     tried = tmp_path / "tried"

@@ -76,37 +76,6 @@ def test_it_is_the_textbook_filter(traction, missing):
         assert deviance == pytest.approx(expected, abs=1e-9)
 
 
-def test_on_a_straight_line_it_is_the_kalman_filter():
-    """With the yaw known and no yaw rate the model is linear: the best estimate of all readings and
-    steps at once, by ordinary least squares.
-    """
-    rng, n = np.random.default_rng(1), 30
-    _, z = drive((0, 0, 0, 0.5, 1, 1), np.zeros(n - 1))
-    z[:, :3] += rng.normal(size=(n, 3)) * np.sqrt(V[:3])
-    sigma, w = np.array([1.0, 1.0, 0.0, 0.3]), np.array([0.02, 0.03, 0.0, 0.05])
-    memory = packing.pack_array(init((0.3, -0.2, 0, 0.6, 1, 1), (*sigma, 1, 1)))
-    for reading in z:
-        result = STEP(memory=memory, z_N=reading, V=V, W=w**2, traction=(1, 1))
-        memory = result["memory"]
-
-    A = np.array([[1, 0, DT], [0, 1, 0], [0, 0, 1]])  # of (x, y, ν)
-    rows, values = (
-        [np.eye(3, 3 * n) / sigma[[0, 1, 3], None]],
-        [np.array([0.3, -0.2, 0.6]) / sigma[[0, 1, 3]]],
-    )
-    for k in range(n):
-        rows.append(np.eye(3, 3 * n, 3 * k) / np.sqrt(V[:3, None]))
-        values.append(z[k, :3] / np.sqrt(V[:3]))
-        if k:
-            rows.append(
-                (np.eye(3, 3 * n, 3 * k) - A @ np.eye(3, 3 * n, 3 * k - 3)) / w[[0, 1, 3], None]
-            )
-            values.append(np.zeros(3))
-    best = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0][-3:]
-    np.testing.assert_allclose(flat(result["estimate"])[[0, 1, 3]], best, atol=1e-9)
-    assert float(result["estimate"][2]) == 0
-
-
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
     start = init((0, 0, 0, 0.5, 1, 1), (1,) * 6)
@@ -180,26 +149,6 @@ def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():
         z.append(readings[1])
     estimates, _ = rival("traction_oracle", np.array(z), truth[0], (1e-3,) * 6, tractions)
     np.testing.assert_allclose(estimates, truth, atol=1e-3)
-
-
-def test_where_no_bound_is_violated_the_bounded_ekf_is_the_augmented_one():
-    first = (0, 0, 0, 0.5, 0.7, 0.6)
-    z = with_noise(drive(first, sine_of_yaw_rates(150))[1])
-    start = dict(guess=first, sigma=(0.1,) * 4 + (0.02, 0.02))
-    augmented, bounded = rival("augmented_ekf", z, **start), rival("bounded_ekf", z, **start)
-    assert 0.1 < augmented[0][:, 4:].min() < augmented[0][:, 4:].max() < 0.95
-    for one, other in zip(augmented, bounded):
-        np.testing.assert_allclose(other, one, atol=1e-10)
-
-
-@pytest.mark.parametrize("traction", [(1.15, 1.3), (0.5, 1.3), (0.02, -0.3)])
-def test_the_bounded_ekf_stays_within_the_bounds_that_the_augmented_one_leaves(traction):
-    _, z = drive((0, 0, 0, 0.5, *traction), sine_of_yaw_rates(150))
-    start = (0, 0, 0, 0.5, 0.9, 0.9)
-    free, _ = rival("augmented_ekf", with_noise(z), start)
-    bounded, _ = rival("bounded_ekf", with_noise(z), start)
-    assert ((free[:, 4:] < 0) | (free[:, 4:] > 1)).any()
-    assert ((bounded[:, 4:] >= 0) & (bounded[:, 4:] <= 1)).all()
 
 
 def test_the_bounded_estimate_is_the_likeliest_within_the_bounds():

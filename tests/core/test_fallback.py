@@ -19,9 +19,7 @@ HIT = 100  # the sample at which something goes wrong
 SOON = 220  # samples are enough for most
 
 estimators = pytest.mark.parametrize(
-    "given",
-    [dict(), dict(horizon=7), dict(speed_model="input"), dict(speed_model="slipping")],
-    ids=str,
+    "given", [dict(), dict(horizon=7, speed_model="slipping")], ids=str
 )
 
 
@@ -113,11 +111,7 @@ def test_a_memory_without_any_number_does_no_lasting_harm(given):
     assert np.abs(estimates - TRUTH)[-20:, :2].max() < 1
 
 
-@pytest.mark.parametrize(
-    "given",
-    [dict(), dict(horizon=7), dict(speed_model="input"), dict(speed_model="slipping")],
-    ids=str,
-)
+@estimators
 @pytest.mark.parametrize("wrong", [1e5, -9.9e7])
 def test_positions_that_break_the_problem_are_dropped_with_their_window(given, wrong):
     """Numbers that a reading can have, for four samples: steps fail, are flagged, and the position

@@ -252,20 +252,6 @@ def test_an_estimated_state_stays_within_its_bounds(virtual_machine):
     assert estimate.x[0] == pytest.approx(0.5)
 
 
-def test_the_window_ends_with_the_estimate_and_satisfies_a_linear_model(virtual_machine):
-    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.1, 0.1), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
-    rhe = rhec.RHE(model=two_states(), dt=0.5, horizon=4, **noise)
-    rng = np.random.default_rng(0)
-    for _ in range(9):
-        rhe.prepare()
-        # Within its noise, or the window would restart and hold the newest sample alone.
-        estimate = rhe.feedback(rng.normal(scale=0.1, size=2))
-    assert rhe.x_window.shape == (2, 5) and rhe.u_window.shape == (1, 4)
-    np.testing.assert_allclose(rhe.x_window[:, -1], estimate.x, rtol=1e-9)
-    replayed = rhe.model.simulate(rhe.x_window[:, 0], rhe.u_window.T, dt=0.5)
-    np.testing.assert_allclose(replayed.T, rhe.x_window, atol=1e-9)
-
-
 @pytest.mark.parametrize("bounds", [5, {"speed": (0, 1)}, {"a": (1, 0)}, {"a": None}])
 def test_bad_bounds_of_states_are_refused(bounds):
     with pytest.raises(ValueError, match="state_bounds was|in state_bounds was|bounds of 'a' were"):

@@ -8,7 +8,6 @@ import pytest
 
 import rhec
 from rhec.core._casadi import cache
-from rhec.core.controller import rhc
 
 
 def model_with(**changed):
@@ -44,10 +43,6 @@ def test_a_guess_whose_variance_is_implausible_is_refused(virtual_machine):
         more = dict(horizon=5) if estimator is rhec.RHE else {}
         with pytest.raises(ValueError, match="sigma_guess was .* each should be below 1e"):
             estimator(model=model_with(), sigma_guess=(1e7, 1.0), **options, **more)
-
-
-def test_the_limit_of_outputs_is_documented():
-    assert "1e8" in rhec.Model.__doc__
 
 
 def test_what_does_not_load_is_removed(tmp_path, monkeypatch):
@@ -135,27 +130,6 @@ def test_a_filter_whose_estimate_is_no_number_is_not_ok(virtual_machine):
     for _ in range(9):
         ekf.step([np.nan])
     assert not ekf.ok
-
-
-@pytest.mark.parametrize(
-    "bad, sentence",
-    [
-        (dict(horizon=10.0), "horizon was 10.0; it should be a whole number"),
-        (dict(horizon=1), "horizon was 1; it should be at least 2"),
-        (dict(dt=0), "dt was 0; it should be above 0"),
-        (dict(dt=1e200), "dt was 1e+200; it should be at most 1e+100"),
-        (dict(dt="1"), "dt was '1'; it should be a number"),
-        (dict(dt=np.inf), "dt was inf; it should be a finite number"),
-        (dict(command=3), "command was 3; it should be a tuple or a list"),
-        (dict(command=[3]), "command[0] was 3; it should be text"),
-        (dict(model=3), "model was 3; it should be a Model"),
-    ],
-)
-def test_a_refusal_says_what_is_expected_in_plain_words(bad, sentence):
-    model = rhec.Model(states="x", inputs="u", f=lambda x, u, p: u)
-    with pytest.raises(ValueError) as refusal:
-        rhc.RHC(**dict(model=model, q=[1], r=[1], dt=0.1, horizon=5) | bad)
-    assert str(refusal.value) == sentence
 
 
 @pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (-np.inf, 5.0), (0.0, np.inf)])

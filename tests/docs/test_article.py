@@ -4,7 +4,6 @@ import re
 import shutil
 
 import pytest
-import yaml
 
 from docs.article import article
 
@@ -57,20 +56,3 @@ def test_the_same_inputs_give_the_same_bytes(project):
 def test_a_missing_figure_is_named(project):
     with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
         article.write(project)
-
-
-def test_the_metadata_are_of_the_article():
-    """ReScience C's fields, with the article's title and the paper that it reproduces."""
-    folder = article.ROOT / "docs/article"
-    metadata = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
-    fields = (
-        "title authors affiliations keywords code data replication review contributors dates "
-        "article journal language type domain abstract bibliography"
-    )
-    assert [*metadata] == fields.split()
-    title = " ".join(re.search(r'weight: "bold"\)\[(.*?)\]\n', PROSE, re.DOTALL)[1].split())
-    assert metadata["title"] == title.replace("\\", "")
-    paper = {name: value for entry in metadata["replication"] for name, value in entry.items()}
-    citation = yaml.safe_load((article.ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert paper["doi"] == citation["references"][0]["doi"]
-    assert paper["bib"] in yaml.safe_load((folder / metadata["bibliography"]).read_text())

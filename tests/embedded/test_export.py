@@ -18,9 +18,7 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
-from notebooks.further.c_code import instructions, report, toolchain
-from notebooks.plots.timing import embedded_times
-from notebooks.studies.timing import PHASES
+from notebooks.further.c_code import instructions, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
@@ -263,6 +261,7 @@ def test_answers_to_the_log_of_a_closed_loop_equal_pythons(name, on, exported, b
     assert toolchain.run(machine, program, exported(name) / "log.csv").returncode == 0
 
 
+@pytest.mark.nightly
 def test_the_header_names_the_entries_of_a_measurement(exported):
     header = (exported("gyro and heading") / "rhec_memory.h").read_text()
     assert "#define RHEC_OUTPUTS 6 /* x, y, nu, omega, gyro_radps, heading_rad */" in header
@@ -272,6 +271,7 @@ def test_the_header_names_the_entries_of_a_measurement(exported):
     )
 
 
+@pytest.mark.nightly
 def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
     scenario = rhec.Scenario(duration_s=SECONDS, seed=1, **SCENARIOS["fixed traction"])
     mean, given = closed_loop.set_up(scenario).terrain.mean, phases.export(scenario).settings
@@ -297,6 +297,7 @@ def test_answers_to_missing_and_implausible_measurements_equal_pythons(exported,
     )
 
 
+@pytest.mark.nightly
 def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     machine, objects = built("paper", "this machine")
     log = log_of(exported("paper"))
@@ -312,6 +313,7 @@ def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_replay_takes_a_log_without_answers_and_with_gaps(exported, built, tmp_path):
     machine, objects = built("paper", "this machine")
     log = log_of(exported("paper"))[MEASUREMENTS].mask(lambda z: z > 1.2)
@@ -522,6 +524,7 @@ int main(void)
 """
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_flags_of_any_number_are_defined(exported, tmp_path):
     """By a cast to int, a flag above 2^31 would be undefined in C."""
@@ -540,6 +543,7 @@ def test_flags_of_any_number_are_defined(exported, tmp_path):
     assert finished.stdout == "01101111111"
 
 
+@pytest.mark.nightly
 @needs_compiler
 @needs_valgrind
 def test_valgrind_finds_nothing(exported, built, tmp_path):
@@ -554,6 +558,7 @@ def test_valgrind_finds_nothing(exported, built, tmp_path):
         assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_answers_are_bounded_while_fuzzing(exported, built):
     """`fuzz` fails where an estimate is not finite or a command out of bounds."""
@@ -569,6 +574,7 @@ def test_answers_are_bounded_while_fuzzing(exported, built):
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
     shutil.copytree(exported("EKF"), tmp_path / "broken")
@@ -584,6 +590,7 @@ def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
         )
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_an_export_in_a_relative_folder_compiles(exported, tmp_path, monkeypatch):
     shutil.copytree(exported("EKF"), tmp_path / "rhec")
@@ -609,6 +616,7 @@ def test_memory_and_stack_are_below_256_kib(exported, built):
     assert 0 < sizes["code_bytes"] < 1024 * 1024
 
 
+@pytest.mark.nightly
 def test_instruction_counts_are_reproducible(exported, built, tmp_path):
     machine, objects = built("paper", "Arm")
     if not machine.emulator:
@@ -830,6 +838,7 @@ def test_a_models_export_answers_as_the_live_objects(robot, tmp_path):
     assert np.count_nonzero(statuses) <= 1
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_models_estimator_or_controller_can_be_exported_alone(tmp_path):
     with no_compiler():
@@ -870,6 +879,7 @@ def test_a_models_export_does_not_use_an_outlier(tmp_path):
     assert [k for k, status in enumerate(statuses) if status] == [40]
 
 
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("bounds", [None, {"x_m": (-50.0, 0.1)}], ids=["free", "bounded"])
 def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
@@ -900,6 +910,7 @@ def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
         np.testing.assert_allclose(answer, live, rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_models_export_survives_invalid_numbers(tmp_path):
     """Estimates stay finite, commands within their bounds; afterwards it estimates again."""
@@ -922,6 +933,7 @@ def test_a_models_export_survives_invalid_numbers(tmp_path):
     assert seen & sum(RESTARTED) == sum(RESTARTED) and status == planned == 0
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_an_input_that_is_not_commanded_stays_finite_where_its_reference_is_not(tmp_path):
     """It keeps its last value, in C, in Python and in a batch; the next finite one is followed."""
@@ -952,6 +964,7 @@ def test_an_input_that_is_not_commanded_stays_finite_where_its_reference_is_not(
             assert np.all(live.ok == (status == 0))
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_an_exported_controller_with_constraints_answers_as_the_live_object(tmp_path):
     """Bounds on a state, on an output (soft) and on changes; also where the step is not ok."""
@@ -1001,44 +1014,3 @@ def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tm
 
 
 # The report
-
-
-def test_the_figure_shows_each_time():
-    times = pd.DataFrame(
-        [
-            *report.reported(),
-            *(
-                dict(
-                    machine="this machine",
-                    who="rhec, measured",
-                    problem=problem,
-                    phase=phase,
-                    mean_ms=mean,
-                    worst_ms=1.0,
-                )
-                for (problem, phase), mean in zip(PHASES, (0.004, 0.0003, 0.001, 0.0015))
-            ),
-        ]
-    )
-    (axes,) = embedded_times(times).axes
-    assert [text.get_text() for text in axes.texts] == [
-        "152 µs, whole step 880 µs",
-        "1.8 µs, whole step 6.8 µs",
-    ]
-    assert "[µs]" in axes.get_xlabel() and axes.get_xscale() == "log"
-    drawn = sorted(float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() == "o")
-    assert drawn == pytest.approx([1.8, 6.8, 152, 880], rel=0.01)
-
-
-def test_without_a_compiler_the_report_has_the_papers_times(exported, monkeypatch):
-    folder = exported("paper")
-    monkeypatch.setattr(toolchain, "this_machine", lambda: None)
-    monkeypatch.setattr(toolchain, "arm", lambda: None)
-    made = report.measure(folder)
-    assert (
-        made["sizes"].empty
-        and made["counted"].empty
-        and made["nonsense"].empty
-        and set(made["times"]["who"]) == {"paper, reported"}
-    )
-    assert embedded_times(made["times"]).axes

@@ -70,6 +70,7 @@ def test_each_estimate_of_stiff_masses_is_finite_and_equal_to_pythons(tmp_path):
             assert answer[-1] == pytest.approx(INERTIA, rel=0.01)
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_an_estimate_without_slopes_finds_back_in_c_as_in_python(tmp_path):
     """A tank whose outflow has no slope below the ground, measured with much noise."""

@@ -5,13 +5,11 @@ it is judged on is what the log shows.
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
-from notebooks.plots import claims as drawings
 from notebooks.studies import statistics, tables, two_looks
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
@@ -101,14 +99,6 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
 
 
-def test_an_interval_that_is_too_narrow_is_found_out(monkeypatch):
-    narrow = statistics._interval
-    monkeypatch.setattr(
-        statistics, "_interval", lambda value, error, n: narrow(value, error / 2, n)
-    )
-    assert statistics.coverage(np.mean, np.random.default_rng(2).normal(size=500), trials=500) < 0.8
-
-
 def test_an_interval_of_a_share_covers_at_least_as_often():
     rng = np.random.default_rng(1)
     shares = [statistics.share(rng.random(60) < 0.3) for _ in range(500)]
@@ -124,14 +114,6 @@ def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
     expected = 2 * stats.binom.sf(119, 200, 0.5)
     assert statistics.share(SHARES < 120, above=0.5).p == pytest.approx(expected)
     assert np.isnan(statistics.always(SHARES < 120).p)
-
-
-def test_intervals_shrink_to_a_constant_and_cover_a_mean():
-    assert statistics.over_seeds(np.mean, [2.0, 2.0, np.nan, 2.0]) == (2.0, 2.0, 2.0, 3)
-    assert np.isnan(statistics.over_seeds(np.mean, [2.0, np.nan])[:3]).all()
-    draws = np.random.default_rng(1).normal(1.0, 1.0, (200, 20))
-    intervals = [statistics.over_seeds(np.mean, values)[1:3] for values in draws]
-    assert 0.92 < np.mean([low < 1.0 < high for low, high in intervals]) < 0.98
 
 
 @pytest.mark.parametrize(
@@ -501,20 +483,6 @@ def test_the_ledger_has_the_shares_of_worlds(made_up):
     assert list(summary.in_worlds(table.reset_index())["posterior"]) == ["0.667 [0.472, 0.827]"]
 
 
-def test_worlds_have_their_own_w_and_drives_of_their_own_length():
-    world = dict(w_rhe="smoothed", w_ekf="free", sigma_ekf_m=0.01, sigma_ekf_rad=0.02)
-    world |= dict(duration_s=99.0)
-    world |= dict(row_length_m=20.0, speed_mps=0.5, mu_mean=0.8, estimator="ekf")
-    (rhe,) = worlds._scenarios(("runs", "rhe"), world, [3], True)
-    (ekf,) = worlds._scenarios(("runs", "ekf"), world, [3], True)
-    (row,) = worlds._scenarios(("runs", "q3"), world, [3], False)
-    (lap,) = worlds._scenarios(("runs", "no_slip"), world, [3], False)
-    assert (rhe.process_noise, rhe.arrival_mean) == ("printed", "smoothed")
-    assert ekf.sigma_w == (0.01, 0.01, 0.02, 0.001)
-    assert rhe.duration_s == ekf.duration_s == 99 and row.duration_s == pytest.approx(50)
-    assert lap.duration_s == pytest.approx((25 + np.pi * lap.headland_radius_m) / 0.4)
-
-
 # One claim alone
 
 
@@ -541,15 +509,6 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys):
     verdicts = pd.read_csv(summary._LEDGER).set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, ledger.CLAIMS.items()):
         assert claim.claim in line and line.endswith(f"  {verdicts[id_]}")
-
-
-@pytest.mark.parametrize("n, is_enough", [(71, False), (72, True)])
-def test_as_many_fields_as_it_says_can_confirm_a_share(n, is_enough):
-    """Of at least 95 %, 71 fields that all agree cannot, and 72 can."""
-    found = statistics.share(np.ones(n), above=0.95)
-    assert (found.verdict == HOLDS) == is_enough
-    assert "to be above 0.95 takes 72 or more" in summary._how_sure({"": found})[0]
-    assert f"is at least {found.low:.3f}" in summary._how_sure({"": found})[0]
 
 
 # The file of claims
@@ -731,12 +690,6 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
 
 
-def test_the_live_loop_is_the_fused_one(virtual_machine):
-    scenario = rhec.Scenario(process_noise="likelihood", duration_s=20.0)
-    distance_m, *_ = experiments.live(scenario, 1)
-    np.testing.assert_allclose(distance_m, rhec.simulate(scenario).log["error_true_m"], atol=1e-8)
-
-
 @pytest.mark.parametrize(
     "error, reached",
     [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)],
@@ -762,6 +715,7 @@ def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(vir
     np.testing.assert_allclose(coded[columns], told[columns], atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machine):
     """It does from the worst starts; what is reported is what the last run has."""
     found = experiments.lowest_traction("likelihood", most=18)
@@ -791,43 +745,3 @@ def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machi
 
 
 # Tables and figure
-
-
-def test_the_ledger_is_shown_in_parts():
-    row = dict(id="A1", claim="…", test="…", paper=1.0, value=2.0, low=1.5, high=2.5, n=9)
-    row |= dict(section="…", bound="> 1", unit="m", conditions="…", why="…", quote="…", beside="…")
-    row |= dict(verdict=HOLDS, p=0.01, p_adjusted=0.02, derived=False)
-    row |= dict(posterior=0.5, posterior_low=0.4, posterior_high=0.6)
-    fails = row | dict(id="A2", verdict=FAILS, posterior=np.nan)
-    partly = row | dict(id="A3", verdict="holds as printed")
-    table = pd.DataFrame([row, fails, partly])
-    assert summary.readable_ledger(table)["value"].tolist() == ["2.00 [1.50, 2.50]"] * 3
-    assert list(summary.failing(table).index) == ["A2"]
-    assert list(summary.depending(table).index) == ["A3"]
-    assert list(summary.in_worlds(table).index) == ["A1", "A3"]
-    assert summary.lost(table).empty
-
-
-def test_the_picture_names_every_claim_and_counts_the_verdicts(made_up):
-    table = judged(made_up)
-    texts = [text.get_text() for text in drawings.verdicts(table).axes[0].texts]
-    assert set(table["id"]) <= set(texts) and set(table["claim"]) <= set(texts)
-    assert f"undecided: {(table['verdict'] == UNDECIDED).sum()}" in texts
-
-
-def test_no_text_of_the_picture_lies_over_another(made_up):
-    """At the size at which it is printed; the widest number that a row may have, too."""
-    table = judged(made_up).assign(posterior=0.5, posterior_low=0.4, posterior_high=0.6)
-    widest = dict(value=-0.1234, low=-0.1289, high=-0.1199, unit="samples")
-    table = table.assign(**widest)
-    figure = drawings.verdicts(table)
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    boxes = [text.get_window_extent(renderer) for text in figure.axes[0].texts if text.get_text()]
-    edges = np.array([box.extents for box in boxes])
-    left, low, right, high = edges.T
-    wide = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
-    tall = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
-    over = np.triu((wide > 0.5) & (tall > 1.5), 1)
-    texts = [text.get_text() for text in figure.axes[0].texts if text.get_text()]
-    assert not over.any(), [(texts[i], texts[j]) for i, j in zip(*np.nonzero(over))]
-    assert left.min() >= 0 and right.max() <= figure.bbox.width

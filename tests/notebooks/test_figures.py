@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from text_boxes import text_defects
 
 import rhec
 from notebooks.plots import scenarios
 from notebooks.plots.parts import frequencies
 from notebooks.plots.scenarios import stated
-from notebooks.plots.timing import embedded_times, phases
+from notebooks.plots.timing import phases
 from notebooks.studies import timing
 from notebooks.studies.scenario_tables import (
     over_fields,
@@ -154,22 +153,10 @@ def test_axes_are_labelled_with_units(drawn):
         assert labels and all(re.search(r"\[.+\]", label) for label in labels), (name, labels)
 
 
-def test_figures_say_which_process_noise_and_seeds(drawn):
-    for name, figure in drawn.items():
-        if name != "phases":
-            assert re.search(r"seeds?|fields", words(figure)), name
-            noise = re.search("W (printed|by likelihood)", words(figure))
-            assert name == "slip_fields" or noise, name
-
-
+@pytest.mark.nightly
 def test_texts_are_inside_the_figure_and_apart(drawn):
     defects = {name: text_defects(figure) for name, figure in drawn.items()}
     assert not any(defects.values()), defects
-
-
-def test_the_end_of_a_lap_is_marked(drawn):
-    """After 90 s more than half of the lap is left, which is not the end of a lap."""
-    assert "end: 90 s" in words(drawn["trajectories"])
 
 
 def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
@@ -202,27 +189,6 @@ def test_the_distance_beside_the_path_is_the_error_with_its_side(drawn, runs):
 def largest_after_settling(run):
     log = run.log[run.log["t_s"] >= run.metrics["settling_time_s"]]
     return log["error_true_m"].max()
-
-
-def test_a_drive_whose_order_is_not_that_of_the_mean_says_so(by_weight, sweep_a):
-    runs = {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
-    sign = {True: 1.0, False: -1.0}
-    for is_same in (True, False):
-        errors = {name: run.metrics["mean_error_true_m"] for name, run in runs.items()}
-        other = sweep_a.assign(
-            mean_error_true_m=[sign[is_same] * errors[w] for w in sweep_a["weight"]]
-        )
-        title = scenarios.trajectories_q(runs, scenario_a_table(other)).axes[0].get_title("left")
-        assert ("as in the mean of 3 fields" in title) == is_same
-        assert ("against the mean of 3 fields" in title) != is_same
-
-
-def test_no_bars_stand_on_a_logarithmic_axis(drawn):
-    """A bar's length says nothing where there is no zero."""
-    for name, figure in drawn.items():
-        for axes in figure.axes:
-            bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
-            assert not bars or {axes.get_xscale(), axes.get_yscale()} == {"linear"}, name
 
 
 def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
@@ -275,32 +241,6 @@ def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noi
         settled = run.log["t_s"].to_numpy() >= 20
         assert inside == np.mean((np.abs(value - truth) <= 2 * sigma)[settled])
     assert (found["theta_rad"][2] == 0).all()
-
-
-def test_in_a_period_feedback_comes_first_and_preparation_is_over_at_its_end(drawn):
-    """Of the drawn order of phases: RHE above, RHC below, two periods."""
-    bars = sorted(
-        (bar.get_x(), bar.get_x() + bar.get_width()) for bar in drawn["phases"].axes[0].patches
-    )
-    assert len(bars) == 8
-    for k in (0, 1):
-        (rhe, rhc, prepare_rhe, prepare_rhc) = bars[4 * k : 4 * k + 4]
-        assert rhe[0] == k and rhe[1] == pytest.approx(rhc[0])
-        assert rhc[1] < prepare_rhe[0] and prepare_rhc[1] == pytest.approx(k + 1)
-
-
-def test_times_on_several_machines_share_one_axis_with_a_unit():
-    times = pd.concat(
-        TIMES.assign(machine=machine, who="C", mean_ms=TIMES["average_us"] * scale / 1000)
-        for machine, scale in (("server", 1), ("Pi", 40))
-    )
-    figure = embedded_times(times)
-    shown = words(figure)
-    assert "9.5 µs, whole step 18.5 µs" in shown and "380 µs, whole step 740 µs" in shown
-    assert text_defects(figure) == []
-    (axes,) = figure.axes
-    assert "[µs]" in axes.get_xlabel()
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["C\nserver", "C\nPi"]
 
 
 def test_table_1_is_the_papers_form_in_milliseconds():

@@ -9,13 +9,12 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
-from matplotlib.text import Text
 from PIL import Image
 from text_boxes import text_defects
 
 import rhec
 from notebooks.plots import robot_drawings
-from rhec import paper, style
+from rhec import style
 
 DRAWINGS = [
     robot_drawings.robot_in_row,
@@ -42,10 +41,6 @@ def parabola():
     return figure
 
 
-def texts(figure):
-    return [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
-
-
 def test_a_figure_made_again_is_the_same_bytes(tmp_path):
     first = style.save(parabola(), "parabola", Scenario(), tmp_path / "first")
     again = style.save(parabola(), "parabola", Scenario(), tmp_path / "again")
@@ -67,17 +62,6 @@ def test_files_tell_version_scenario_and_notebook(tmp_path):
     assert b"CreationDate" not in pdf
 
 
-def test_the_source_is_what_figures_are_made_of(tmp_path):
-    for folder in ("rhec", "data", "notebooks"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "rhec" / "model.py").write_text("one")
-    before = style.source(tmp_path)
-    (tmp_path / "README.md").write_text("two")
-    assert style.source(tmp_path) == before
-    (tmp_path / "rhec" / "model.py").write_text("two")
-    assert style.source(tmp_path) != before
-
-
 def test_an_edit_of_the_source_leaves_a_picture_s_bytes_and_changes_its_source(
     tmp_path, monkeypatch
 ):
@@ -93,12 +77,6 @@ def test_an_edit_of_the_source_leaves_a_picture_s_bytes_and_changes_its_source(
         assert saved[-1][1] == f"rhec {rhec.__version__}, source {style.source()}"
     (bytes_before, source_before), (bytes_after, source_after) = saved
     assert bytes_before == bytes_after and source_before != source_after
-
-
-def test_pictures_in_git_carry_no_digest_of_the_source():
-    for name in ("fig07_trajectories", "fig08_errors"):
-        about = Image.open(style.FOLDER / f"{name}.png").text
-        assert about["Subject"] == "04_scenario_b.ipynb" and "source" not in about["Creator"]
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):
@@ -122,39 +100,8 @@ def test_style_stays_inside_its_figures():
     }
 
 
-def test_a_figure_has_the_same_ticks_in_a_notebook_as_in_its_file():
-    """Their labels are the larger there, if they are not told, and so the fewer."""
-
-    def ticks():
-        figure.draw_without_rendering()
-        return [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
-
-    figure = parabola()
-    with mpl.rc_context(style.RC):
-        in_file = ticks()
-    with mpl.rc_context({"xtick.labelsize": 30}):
-        assert ticks() == in_file
-
-
-def test_after_saving_the_layout_stands(tmp_path):
-    for figure in (parabola(), robot_drawings.schematic()):
-        style.save(figure, "figure", folder=tmp_path)
-        placed = [axes.get_position().bounds for axes in figure.axes]
-        assert figure.get_layout_engine() is None
-        figure.draw_without_rendering()
-        assert [axes.get_position().bounds for axes in figure.axes] == placed
-
-
 @pytest.mark.parametrize("draw", DRAWINGS)
 def test_labels_of_a_drawing_are_whole_and_apart(draw):
     figure = draw()
     assert figure.get_figwidth() == style.COLUMN_IN
     assert text_defects(figure) == []
-
-
-@pytest.mark.parametrize(
-    "spacing, tolerance", [(paper.ROW_SPACING_M, paper.TOLERANCE_M), (1.0, 0.23)]
-)
-def test_tolerance_is_computed_from_the_row(spacing, tolerance):
-    figure = robot_drawings.robot_in_row(row_spacing_m=spacing)
-    assert sum(text.get_text() == f"{tolerance:.2f} m" for text in texts(figure)) == 2

@@ -2,16 +2,12 @@
 what it says.
 """
 
-import re
-
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import choice_of
-from text_boxes import text_defects
 
 import rhec
-from notebooks.plots.interpretations import forest
 from notebooks.studies import interpretations
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
@@ -88,15 +84,6 @@ def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine
     )
 
 
-def test_every_entry_has_its_profile_with_both_values(virtual_machine):
-    profiles = interpretations.likelihood_profiles((1.0,), seeds=1)
-    entries = interpretations.ENTRIES.values()
-    assert list(profiles) == [entry.label for entry in entries]
-    for (table, *values), entry in zip(profiles.values(), entries):
-        assert values == [entry.values["printed"], entry.values["likelihood"]]
-        assert table["sigma"].item() == entry.values["likelihood"]
-
-
 def test_kappa_is_known_better_in_curves(virtual_machine):
     table = interpretations.sigma_kappa_table([0.1, 0.2])
     assert list(table) == ["sigma_kappa", "straight", "curve"]
@@ -141,15 +128,6 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
     )  # R1 is the EKF's alone
 
 
-def test_changes_are_read_as_texts(moved):
-    shown = interpretations.readable_changes(moved)
-    assert shown.shape == (6, 5)
-    from_start = shown.loc[("R14", "errors from the start")]
-    assert re.fullmatch(r"\+0\.\d+ \[\+0\.\d+, \+0\.\d+\]", from_start["mean error, raw GNSS [m]"])
-    assert (from_start.drop("mean error, raw GNSS [m]") == "0").all()  # it is no other drive
-    assert shown.loc["baseline"].iloc[0, 0].count("+") == 0 < shown.loc["R10"].iloc[0, 0].count("+")
-
-
 def test_the_entries_of_w_are_those_of_the_tuning():
     values = interpretations.ENTRIES["rhe_kappa"].values
     assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "likelihood")}
@@ -157,22 +135,6 @@ def test_the_entries_of_w_are_those_of_the_tuning():
         paper.SIGMA_W_EKF[0],
         paper.SIGMA_W_EKF[2],
     ]
-
-
-def test_the_forest_has_a_row_for_each_interpretation(moved):
-    figure = forest(moved, "likelihood")
-    assert text_defects(figure) == []
-    assert len(figure.axes[0].get_yticklabels()) == 5
-    assert {axes.get_xscale() for axes in figure.axes} == {"linear"}
-
-
-def test_what_is_off_the_scale_of_the_forest_has_its_number(moved):
-    far = moved.assign(
-        change=moved["change"].where(moved["interpretation"] != "R10", 1234.0),
-        change_low=moved["change_low"].where(moved["interpretation"] != "R10", 1233.0),
-    )
-    for axes in forest(far, "likelihood").axes:
-        assert [text.get_text() for text in axes.texts] == ["+1.2e+03"]
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from nbformat import v4
 
 from notebooks import run as notebook
@@ -94,20 +92,6 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
     assert refusal.value._render_traceback_() == [f"ParameterError: {sentence}"]
 
 
-@pytest.mark.nightly
-@settings(deadline=None)  # checks are built anew each time
-@given(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.lists(st.integers())
-)
-def test_only_a_whole_number_in_range_is_a_number_of_seeds(value):
-    try:
-        parameters(executed(seeds=value))
-    except ParameterError:
-        assert type(value) is not int or not 2 <= value <= 1000
-    else:
-        assert type(value) is int and 2 <= value <= 1000
-
-
 def test_a_missing_parameter_is_refused():
     namespace = executed()
     del namespace["seed"]
@@ -130,21 +114,6 @@ def test_every_notebook_declares_its_parameters_and_checks_them(path):
     (tagged,) = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
     assert any("parameters(globals())" in cell.source for cell in cells)
     parameters(executed(tagged.source))
-
-
-def test_the_runner_refuses_a_misspelt_parameter_in_one_sentence(tmp_path, monkeypatch, capfd):
-    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
-    check = v4.new_code_cell("from notebooks.run import parameters\nparameters(globals())")
-    nbformat.write(v4.new_notebook(cells=[tagged, check]), tmp_path / "toy.ipynb")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", "notebook toy.ipynb -p sed 9 --output out.ipynb".split())
-    with pytest.raises(SystemExit) as refusal:
-        notebook.main()
-    assert refusal.value.code == 2
-    assert (
-        capfd.readouterr().err == "sed was 9, but there is no such parameter; did you mean seed?\n"
-    )
-    assert os.listdir(tmp_path) == ["toy.ipynb"]
 
 
 @pytest.mark.parametrize(

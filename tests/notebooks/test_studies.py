@@ -58,7 +58,3 @@ def test_faults_are_shown_with_one_row_a_case():
     assert shown.loc["none: no fault", "recovered, RHE"] == "2 of 2"
     counts = faults.verdict_counts(faults.fault_table(runs))
     assert list(counts["runs"]) == [2, 2] and list(counts["cases"]) == [1, 1]
-
-
-def test_all_hard_cases_exist():
-    assert all(case in faults.CASES[family] for family, case in faults.HARD)

@@ -1,82 +1,10 @@
-"""No text of a figure lies over another, leaves the figure or sticks out of its box. Figures of
-other tests are checked where they are drawn; those that no other test draws are drawn here.
-"""
+"""Texts over another, beyond the figure or out of their box are found, and nothing else is."""
 
 import matplotlib.pyplot as plt
-import numpy as np
-import pandas as pd
 import pytest
 from text_boxes import text_defects
 
-from notebooks.further import recorded_logs_plots, your_robot
-from notebooks.plots import interpretations
 from rhec import style
-
-RNG = np.random.default_rng(0)
-TIME_S = np.arange(100) * 0.2
-
-
-def parameters():
-    values = 0.5 + 0.1 * RNG.normal(size=(100, 2))
-    bounds = {"left slip": (0.0, 1.0), "right slip": None}
-    return your_robot.parameters_and_bounds(
-        TIME_S, values, np.full((100, 2), 0.1), np.full((100, 2), 0.5), bounds
-    )
-
-
-def commands():
-    bounds = {"left track [m/s]": (-1.0, 1.0), "right track [m/s]": (-1.0, 1.0)}
-    return your_robot.commands_and_bounds(TIME_S, RNG.normal(size=(100, 2)), bounds)
-
-
-def positions():
-    track = np.column_stack([TIME_S, np.sin(TIME_S)])
-    names = ("reference", "truth", "measured", "RHE")
-    return your_robot.positions(dict.fromkeys(names, track))
-
-
-def tolerances():
-    names = ("one iteration", "iterated")
-    over_time = {name: 10.0 ** RNG.uniform(-8, 1, 100) for name in names}
-    iterated = {name: 10.0 ** -np.arange(8.0) for name in names}
-    return your_robot.solver_tolerances(TIME_S, over_time, iterated)
-
-
-def ekf_yaw():
-    sigma_x_m = np.geomspace(1e-3, 20, 9)
-    analysis = interpretations_table(sigma_x_m)
-    sweep = pd.DataFrame(
-        dict(sigma=sigma, seed=seed, rms_yaw_rad=0.1 * (1 + seed + sigma))
-        for sigma in (0.02, 10.0)
-        for seed in range(3)
-    )
-    log = dict(t_s=TIME_S, theta_hat_rad=0.1 * RNG.normal(size=100), theta_rad=0 * TIME_S)
-    runs = dict.fromkeys((10.0, 1.0, 0.02), type("Run", (), dict(columns=log)))
-    return interpretations.ekf_yaw(analysis, sweep, runs, printed=10.0, likelihood=0.02)
-
-
-def interpretations_table(sigma_x_m):
-    gains = dict(gain_position=sigma_x_m / 20, gain_yaw_radpm=1 / sigma_x_m)
-    return pd.DataFrame(dict(sigma_x_m=sigma_x_m, **gains, sigma_yaw_rad=0.1 / sigma_x_m))
-
-
-def replay_faults():
-    names = ("no GNSS for 5 s", "left encoder dead for 20 s", "outliers of 2 m")
-    rows = [
-        dict(fault=name, seed=seed, worst_position_m=size, worst_yaw_rad=size / 3)
-        for name in names
-        for seed, size in enumerate(10 ** RNG.uniform(-2, 0.5, 3))
-    ]
-    return recorded_logs_plots.replay_faults(pd.DataFrame(rows))
-
-
-DRAWN = (positions, parameters, commands, tolerances, ekf_yaw, replay_faults)
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("draw", DRAWN, ids=lambda draw: draw.__name__)
-def test_texts_of_a_figure_are_whole_and_apart(draw):
-    assert text_defects(draw()) == []
 
 
 @style.styled

@@ -8,7 +8,6 @@ import pytest
 
 import rhec
 from notebooks.further import tolerance
-from notebooks.further.tolerance_plots import shares_over_speed
 
 SHORT = dict(row_length_m=6.0, headland_radius_m=6.0, start_offset_m=0.1, estimator="oracle")
 DRIVE = rhec.Scenario(**SHORT, duration_s=150.0)
@@ -109,19 +108,3 @@ def test_every_drive_can_be_asked_for():
                 one, other = tolerance.scenarios(world, loop, speed, range(2))
                 assert (one.seed, other.seed) == (0, 1) and one.controller == other.controller
                 assert (one.controller == "rhc") == (speed == tolerance.CONSTANT)
-
-
-def test_shares_are_shown_with_their_intervals_and_drawn():
-    row = dict(speed_mps=0.48, speed_low=0.471, speed_high=0.49, promise="whole path")
-    row |= dict(worst_m=0.1234, share=0.97, low=0.96, high=0.98, n=50)
-    rows = [
-        row | dict(world=world, loop=loop, speed=speed)
-        for world in tolerance.IN_WORLDS
-        for loop in tolerance.LOOPS
-        for speed in (tolerance.CONSTANT, tolerance.CAUTIOUS)
-    ]
-    table = tolerance.judged(pd.DataFrame(rows))
-    shown = tolerance.readable_shares(table)
-    assert list(shown.index) == list(tolerance.IN_WORLDS) and shown.shape == (3, 6)
-    assert (shown == "0.970 [0.960, 0.980] (holds)").all(axis=None)
-    assert len(shares_over_speed(table).axes) == 3

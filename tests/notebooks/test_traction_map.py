@@ -7,7 +7,6 @@ import pytest
 
 import rhec
 from notebooks.further import traction_map
-from notebooks.further.traction_worth_plots import map_of_worth
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import random_for
 
@@ -94,16 +93,3 @@ def test_the_rule_of_thumb_can_come_out_either_way():
     assert "instead of the paper's 10 that takes 0 % off" in words
     never = traction_map.rule_in_words(traction_map.worth_map(made_up(lambda *_: 1.0)))
     assert "two constants do as well" in never
-
-
-def test_the_picture_has_a_number_for_each_cell_and_a_cross_where_the_robot_is_lost():
-    errors = made_up(lambda kappa, *_: 0.01 if kappa == 0.5 else 1.0)
-    figure = map_of_worth(traction_map.worth_map(errors))
-    panels = figure.axes[:-1]
-    assert len(panels) == len(traction_map.CONTROL) * len(traction_map.VARIATIONS)
-    for axes in panels:
-        texts = [text.get_text() for text in axes.texts]
-        lost = len(traction_map._loops(0.5)) - 1
-        assert texts.count("×") == lost
-        every = sum(len(traction_map._loops(kappa)) - 1 for kappa in traction_map.MEANS)
-        assert len(texts) == every

@@ -62,11 +62,13 @@ def answers(notebook, tag):
     return [answer for (answer,) in by_cell.values()]
 
 
+@pytest.mark.nightly
 def test_every_solution_is_right(executed):
     right = answers(executed, "solution")
     assert all(answer.startswith("Right: ") for answer in right), right
 
 
+@pytest.mark.nightly
 def test_no_exercise_is_solved_before_it_is_answered(executed):
     blank = answers(executed, "exercise")
     assert len(blank) == len(answers(executed, "solution")) == 6
@@ -184,6 +186,7 @@ def estimator(mu_next):
     return ca.Function("one", [memory, z], [new, new])
 
 
+@pytest.mark.nightly
 def test_an_estimator_must_learn(virtual_machine):
     first = estimator(lambda mu, ahead: 0.9)
     assert tutorial_checks.estimator(

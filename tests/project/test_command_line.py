@@ -157,12 +157,13 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path
         (self if isinstance(self, Path) else Path(file)).write_bytes(b"half")
         raise OSError("No space left on device")
 
-    writers = [(pd.DataFrame, "to_csv"), (pd.DataFrame, "to_parquet"), (Figure, "savefig")]
-    for owner, name in [*writers, (Path, "write_text")]:
+    writers = [(pd.DataFrame, "to_csv", run), (pd.DataFrame, "to_csv", replay)]
+    writers += [(pd.DataFrame, "to_parquet", replay), (Figure, "savefig", run)]
+    writers += [(Path, "write_text", calibrate)]
+    for owner, name, words in writers:
         with monkeypatch.context() as failing:
             failing.setattr(owner, name, half)
-            codes = [main([*words, "--overwrite"]) for words in (run, replay, calibrate)]
-        assert 1 in codes
+            assert main([*words, "--overwrite"]) == 1
         assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == whole
 
 

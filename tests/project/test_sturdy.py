@@ -61,21 +61,21 @@ HOSTILE += ['" ; touch stolen ; "', "' ; touch stolen ; '", "a b $HOME"]
 
 
 @needs_make
-@pytest.mark.parametrize("text", HOSTILE)
-def test_the_id_of_a_claim_is_data(checkout, text):
-    assert run_make(checkout, "claim", f"ID={text}")[-1] == text
-    assert run_make(checkout, "claim", ID=text)[-1] == text
-    assert not (checkout / "stolen").exists()
+def test_the_id_of_a_claim_is_data(checkout):
+    for text in HOSTILE:
+        assert run_make(checkout, "claim", f"ID={text}")[-1] == text
+        assert run_make(checkout, "claim", ID=text)[-1] == text
+        assert not (checkout / "stolen").exists(), text
 
 
 @needs_make
-@pytest.mark.parametrize("variable", ["WHAT", "PYTHON", "PYTHON_CPU_COUNT"])
-@pytest.mark.parametrize("text", HOSTILE[:4])
-def test_nothing_in_a_variable_is_executed(checkout, variable, text):
+@pytest.mark.parametrize("variable", ["WHAT", "PYTHON_CPU_COUNT", "PYTHON"])
+def test_nothing_in_a_variable_is_executed(checkout, variable):
     if variable == "PYTHON":  # which is used to set up .venv alone
         (checkout / ".venv/ready").unlink()
-    run_make(checkout, "test", f"{variable}={text}")
-    assert not (checkout / "stolen").exists()
+    for text in HOSTILE[:4]:
+        run_make(checkout, "test", f"{variable}={text}")
+        assert not (checkout / "stolen").exists(), text
 
 
 @needs_make

@@ -345,6 +345,7 @@ def of_other_types(file):
     )
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -482,6 +483,7 @@ def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(
     assert_equal_rows(table, rhec.campaign(short(200), workers=1))
 
 
+@pytest.mark.nightly
 def test_workers_that_die_while_they_are_idle_are_replaced():
     expected = rhec.campaign(short(), workers=1)
     assert_equal_rows(rhec.campaign(short(), workers=2), expected)
@@ -504,6 +506,7 @@ def _large_result(task):
     return bytes(10_000_000)
 
 
+@pytest.mark.nightly
 def test_a_worker_that_dies_while_it_sends_its_result_stops_nothing():
     done = []
 
@@ -537,6 +540,7 @@ print(table.drop(columns="path").equals(rhec.campaign(scenarios).drop(columns="p
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("from_stdin", [False, True])
 def test_a_script_without_guard_and_what_is_typed_start_workers(tmp_path, from_stdin):
     """Classes and constants of `__main__` reach the workers; no process is left behind."""
@@ -564,6 +568,7 @@ def listening():
     ]
 
 
+@pytest.mark.nightly
 def test_workers_open_no_port():
     before = listening()
     rhec.campaign(short(), workers=2)
@@ -571,6 +576,7 @@ def test_workers_open_no_port():
     assert worker_processes() and listening() == before
 
 
+@pytest.mark.nightly
 def test_workers_end_where_their_parent_was_killed(tmp_path):
     """Soon, not only after the minute without work."""
     script = "import os, rhec; rhec.campaign([rhec.Scenario(duration_s=2.0)] * 2, workers=2)"
@@ -673,6 +679,7 @@ def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, mo
     assert_equal_rows(table, rhec.campaign(short(20)))
 
 
+@pytest.mark.nightly
 def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
     for name in ("rhec", "data"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -692,6 +699,7 @@ def io_loops():
     return [thread for thread in threading.enumerate() if thread.name == "IO loop"]
 
 
+@pytest.mark.nightly
 def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
     monkeypatch.setattr(workers, "FIRST_WORKER_TIMEOUT_S", 1.0)
@@ -736,6 +744,7 @@ def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
     assert err == f"rhec: the connection to the scheduler at {address} was lost\n"
 
 
+@pytest.mark.nightly
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
     address = scheduler(started, tmp_path)
@@ -766,6 +775,7 @@ for asked in (dict(workers=2), dict(folder="rows")):
 """
 
 
+@pytest.mark.nightly
 def test_without_loky_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT],
@@ -825,20 +835,6 @@ def test_make_campaigns_command_runs_every_combination_and_goes_on_from_what_is_
     assert table.iloc[-1]["mean_error_m"] == rhec.simulate(scenario).metrics["mean_error_m"]
 
 
-def test_the_command_refuses_in_a_sentence(tmp_path):
-    for arguments, sentence in (
-        (
-            ("-p", "sped_mps", "1"),
-            "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?\n",
-        ),
-        (("-p", "r", "ten"), "r was 'ten'; it should be a number\n"),
-    ):
-        done = subprocess.run(
-            command(tmp_path, *arguments), capture_output=True, text=True, timeout=60, cwd=ROOT
-        )
-        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"rhec: {sentence}")
-
-
 def left_of_group(group):
     """Processes of a group that still run."""
     left = []
@@ -896,6 +892,7 @@ def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on
 ALL = loky.cpu_count()
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "told, cores", [("3", 3), ("", ALL), ("default", ALL), ("0", ALL), ("²", ALL)]
 )
@@ -930,6 +927,7 @@ def test_simulate_refuses_what_is_no_scenario(scenario, sentence):
         rhec.simulate(scenario)
 
 
+@pytest.mark.nightly
 def test_one_run_loads_neither_campaigns_nor_lanes():
     script = (
         "import sys, rhec; rhec.simulate(rhec.Scenario(estimator='ekf', duration_s=2.0)); "
@@ -978,6 +976,7 @@ def finished(missing, workers):
         yield {key: dict(row) for key in keys[begin : begin + 300]}
 
 
+@pytest.mark.nightly
 def test_the_caller_of_a_long_campaign_needs_little_memory_beside_its_scenarios(monkeypatch):
     """At most 500 bytes a run, so 50 MB for 100,000."""
     monkeypatch.setattr(campaigns, "_run_all", finished)

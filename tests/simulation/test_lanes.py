@@ -167,6 +167,7 @@ def texts(tmp_path, monkeypatch):
     return found
 
 
+@pytest.mark.nightly
 def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
     by_parts = rows_of(tmp_path / "parts", estimator="rhe")
     # The steps of estimator and controller, the references, the robot's motion, and the rest.
@@ -177,6 +178,7 @@ def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, t
     np.testing.assert_array_equal(by_parts, whole)
 
 
+@pytest.mark.nightly
 def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
     for name, made in {"rhe": 5, "ekf": 2, "rhe_no_slip": 2}.items():
         texts.clear()
@@ -185,6 +187,7 @@ def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
         assert sum("/* rhc_linearise:(" in text for text in texts) == (name == "rhe")
 
 
+@pytest.mark.nightly
 def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeypatch):
     compile_text = parts._compile
 
@@ -317,6 +320,7 @@ def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
         pd.testing.assert_frame_equal(run.log, before.log)
 
 
+@pytest.mark.nightly
 def test_what_has_no_lanes_runs_one_by_one(always):
     """A QP solver's C is no C++ for lanes."""
     by_daqp = condensed.controller(SMALL, "daqp")
@@ -326,6 +330,7 @@ def test_what_has_no_lanes_runs_one_by_one(always):
     assert_rows_of_simulate(table, scenarios)
 
 
+@pytest.mark.nightly
 def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
     scenarios = [*unlike({})]
     table = rhec.campaign(scenarios, workers=1)
@@ -397,6 +402,7 @@ def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar(load):
     np.testing.assert_allclose(one_by_one[0][near], virtual[near], rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.nightly
 def test_threads_do_not_meet_in_a_block():
     block, x = lanes.load(build_functions), angles(500)
     memories, settings = np.arange(2.0)[:, None], [{}] * 2

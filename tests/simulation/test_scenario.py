@@ -1,10 +1,8 @@
 """A scenario is validated strictly: bad input is answered by one sentence that names it."""
 
 import dataclasses
-import inspect
+import itertools
 import math
-import pydoc
-from typing import get_args
 
 import casadi as ca
 import numpy as np
@@ -14,7 +12,7 @@ import rhec
 from rhec import paper
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
+from rhec.tracked_robot.estimators import estimator_of
 
 FIELDS = [field.name for field in dataclasses.fields(rhec.Scenario)]
 DESCRIBED = fields_of(rhec.Scenario)
@@ -89,24 +87,16 @@ def refusal(**fields):
     return str(refused.value)
 
 
-@pytest.mark.parametrize("name", FIELDS)
-@pytest.mark.parametrize("value", ["no", math.nan, object()])
-def test_nonsense_is_refused_by_name(name, value):
-    assert refusal(**{name: value}).startswith(f"{name} was {value!r}; ")
+def test_nonsense_is_refused_by_name():
+    for name, value in itertools.product(FIELDS, ["no", math.nan, object()]):
+        assert refusal(**{name: value}).startswith(f"{name} was {value!r}; ")
 
 
-@pytest.mark.parametrize(
-    "name, value", OUT_OF_RANGE, ids=[f"{name}={value!r}" for name, value in OUT_OF_RANGE]
-)
-def test_values_out_of_range_are_refused_in_one_sentence(name, value):
-    sentence = refusal(**{name: value})
-    assert (
-        sentence.startswith(name)
-        and " was " in sentence
-        and "; " in sentence
-        and "\n" not in sentence
-    )
-    assert "pydantic" not in sentence
+def test_values_out_of_range_are_refused_in_one_sentence():
+    for name, value in OUT_OF_RANGE:
+        sentence = refusal(**{name: value})
+        assert sentence.startswith(name) and " was " in sentence and "; " in sentence, sentence
+        assert "\n" not in sentence and "pydantic" not in sentence, sentence
 
 
 @pytest.mark.parametrize(
@@ -159,9 +149,10 @@ ABSURD = [
 ]
 
 
-@pytest.mark.parametrize("name, value", ABSURD)
-def test_numbers_whose_squares_are_none_are_refused(name, value):
-    assert refusal(**{name: value}).startswith(name) and "1e+100" in refusal(**{name: value})
+def test_numbers_whose_squares_are_none_are_refused():
+    for name, value in ABSURD:
+        sentence = refusal(**{name: value})
+        assert sentence.startswith(name) and "1e+100" in sentence, sentence
 
 
 def test_a_scenario_is_frozen():
@@ -178,31 +169,14 @@ def test_every_field_is_documented_once():
             assert isinstance(choice, bool) or str(choice) in field.text, name
 
 
-def test_the_help_says_unit_and_range_beside_the_text():
-    help_text = pydoc.plain(pydoc.render_doc(rhec.Scenario))
-    assert "speed_mps: Set speed [m/s], 0 to 1.4." in help_text
-    assert "track_width_m: Distance b between the tracks [m], above 0." in help_text
-    assert "estimation_horizon: Intervals of the estimation window, 2 to 240. N " in help_text
-    assert max(map(len, rhec.Scenario.__doc__.splitlines())) <= 100
-
-
-@pytest.mark.parametrize("name", FIELDS)
-def test_the_described_range_is_the_one_that_is_checked(name):
-    field = DESCRIBED[name]
-    several = field.unit.count(",") + 1 if name != "q" else 3
-    several = several if name in ("q", "sigma_v") else 5 if name == "slip" else 6
-    for limit, beyond in ((field.lowest, -1), (field.highest, 1)):
-        if limit is not None:
-            value = limit + beyond
-            is_tuple = name in ("q", "sigma_v", "sigma_w", "slip")
-            assert refusal(**{name: (value,) * several if is_tuple else value}).startswith(name)
-
-
-def test_the_signature_can_be_read_and_names_the_estimators():
-    signature = inspect.signature(rhec.Scenario)
-    assert len(str(signature)) <= 2800
-    assert all(repr(name) in str(signature) for name in NAMES)
-    assert get_args(EstimatorName) == NAMES
+def test_the_described_range_is_the_one_that_is_checked():
+    sizes = dict(q=3, sigma_v=4, sigma_w=6, slip=5)
+    for name, field in DESCRIBED.items():
+        for limit, beyond in ((field.lowest, -1), (field.highest, 1)):
+            if limit is not None:
+                value = limit + beyond
+                given = (value,) * sizes[name] if name in sizes else value
+                assert refusal(**{name: given}).startswith(name)
 
 
 def test_the_repr_is_python_that_leaves_out_the_defaults():

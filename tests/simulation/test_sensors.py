@@ -4,14 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers import no_compiler
 
 import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
-from rhec.simulation.columns import ESTIMATE
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
 
 BOTH = ("gyro", "heading")
 SHORT = rhec.Scenario(
@@ -134,26 +130,6 @@ def test_a_gyro_and_a_heading_make_yaw_and_path_better():
     assert means[BOTH][1] < 0.85 * means[()][1]
 
 
-@pytest.mark.parametrize("fields", [dict(gyro_bias_radps=0.05), dict(gyro_scale=1.05)], ids=str)
-def test_a_bias_or_a_scale_is_found_out(fields):
-    seeds = range(1000, 1008)
-    errors = [
-        [
-            run.metrics["rms_yaw_rad"]
-            for run in rhec.simulate(
-                [
-                    dataclasses.replace(
-                        SHORT, seed=k, sensors=("gyro",), duration_s=120.0, **changes
-                    )
-                    for k in seeds
-                ]
-            )
-        ]
-        for changes in (dict(gyro_bias_radps=0.0, gyro_scale=1.0), fields)
-    ]
-    assert np.mean(errors[1]) < 1.15 * np.mean(errors[0])
-
-
 def test_a_run_is_a_log_for_replay_and_its_sensors_are_checked_there():
     log = changed(duration_s=120.0).log
     estimates = rhec.replay(log, first_yaw_rad=0.0)
@@ -196,34 +172,3 @@ def test_side_slip_turns_the_course_and_not_the_yaw():
     correlation = np.corrcoef(slip[lag:], slip[:-lag])[0, 1]
     # e^(-lag Δt/T), with Δt = 0.2 s.
     assert correlation == pytest.approx(np.exp(-lag * paper.DT_S / 1.5), abs=0.15)
-
-
-def test_without_a_compiler_the_results_are_the_same():
-    fields = dict(duration_s=4.0, speed_model="slipping")
-    compiled = changed(**fields).log.astype(float)
-    with no_compiler():
-        slow = changed(**fields).log.astype(float)
-    np.testing.assert_allclose(slow, compiled, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
-def test_the_live_estimator_equals_the_closed_loop(speed_model):
-    run = changed(speed_model=speed_model, duration_s=20.0)
-    names = "x_meas_m y_meas_m nu_meas_mps omega_meas_radps gyro_meas_radps heading_meas_rad"
-    live = rhec.RHE(
-        process_noise="consistent",
-        speed_model=speed_model,
-        sensors=BOTH,
-        guess=tuple(closed_loop.set_up(run.scenario).guess),
-    )
-    estimates = []
-    for z in run.log[names.split()].to_numpy():
-        live.prepare()
-        estimates.append(live.feedback(z)[:6])
-    np.testing.assert_allclose(estimates, run.log[ESTIMATE], rtol=0, atol=1e-9)
-
-
-def test_the_choice_of_an_estimator_counts_its_sensors():
-    choice = Choice.of(SHORT)
-    assert {"gyro_bias_radps", "gyro_scale"} <= {*estimator_of("rhe").states(choice)}

@@ -110,18 +110,3 @@ def test_each_kind_of_failure_is_counted():
         P = setup.unpack(memory)["estimator"]["P"]
         P[row, column] = factor * P[row, column] + (row != column) * 1e-3
         assert found(memory=memory) == {"not_definite": 1}
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        dict(memory=np.zeros(3)),
-        dict(extra=1),
-        dict(done=np.zeros(2)),
-        dict(memory=np.array([object()] * 3)),
-    ],
-)
-def test_a_file_without_a_state_is_refused(tmp_path, wrong):
-    soak.save(soak.init(BASE, 0) | wrong, tmp_path / "state.npz")
-    with pytest.raises(ValueError, match="^file was|allow_pickle"):
-        soak.load(tmp_path / "state.npz", BASE)

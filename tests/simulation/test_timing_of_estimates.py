@@ -78,18 +78,6 @@ def test_a_missing_yaw_rate_is_the_last_command(choice):
     assert log["ok"].all()
 
 
-@pytest.mark.parametrize(
-    "wrong, sentence",
-    [
-        (dict(traction_timing="later"), "^traction_timing was 'later'"),
-        (dict(yaw_rate_interval=1), "^yaw_rate_interval was 1"),
-    ],
-)
-def test_other_words_are_refused(wrong, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        rhec.Scenario(**wrong)
-
-
 def test_an_export_refuses_what_it_does_not_do(tmp_path):
     with pytest.raises(ValueError, match="^yaw_rate_interval was 'after'; to export, it should be"):
         rhec.export(rhec.Scenario(yaw_rate_interval="after"), tmp_path)
