@@ -8,11 +8,10 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import controller, estimator, fused_sample, model
+from helpers import controller, estimator, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import (
-    flat,
     kalman_filter,
     limits,
     mhe_by_ipopt,
@@ -26,11 +25,6 @@ from oracles import (
 from robots import BICYCLE, CART, DT, ROBOTS, SKID_STEERED, VARIANTS, N
 
 import rhec
-from rhec.core import runner
-from rhec.core._casadi.packing import pack_array
-from rhec.core.controller import rhc
-from rhec.core.estimator import rhe
-from rhec.core.estimator.base import joint_guess
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 EVERY_ROBOT = [*ROBOTS.values(), *VARIANTS.values()]
@@ -175,31 +169,6 @@ def test_the_plan_is_a_trajectory_of_the_model_from_the_state(robot):
 
 
 # One model, three forms
-
-
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
-def test_the_fused_step_answers_as_the_live_objects_do(robot):
-    """Estimator and controller as one CasADi Function, scanned over a log."""
-    rng = np.random.default_rng(16)
-    guess, z = mhe_instance(robot, rng, 4 * N, missing=0.1)
-    problem, live, stream = mpc_instance(robot, rng), [], []
-    mhe, mpc = estimator(robot, guess), controller(robot)
-    # The fused step has no first sample of its own, for which the live object iterates.
-    mpc.iteration.improve_first = lambda iterations: None
-    for row in z:
-        x_ref = problem["x_ref"] + 0.1 * rng.normal(size=problem["x_ref"].shape)
-        mhe.prepare(), mpc.prepare()
-        estimate = mhe.feedback(row)
-        u = mpc.feedback(estimate.x, estimate.p, x_ref, problem["u_ref"])
-        live.append(np.concatenate([estimate.x, estimate.u, estimate.p, u]))
-        stream.append(np.concatenate([row, flat(x_ref), flat(problem["u_ref"])]))
-    n_x, n_u = len(robot.states), len(robot.inputs)
-    start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, robot.sigma_guess))
-    plan = rhc.init(mpc.problem, live[0][:n_x], live[0][n_x + n_u : -n_u])
-    memory = np.concatenate([pack_array(start), pack_array(plan)])
-    rows = runner.run_one(runner.build(fused_sample(mhe, mpc)), memory, np.array(stream), {})
-    np.testing.assert_allclose(rows, live, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)

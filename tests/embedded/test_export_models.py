@@ -1,53 +1,17 @@
 """Exports of Models that are stiff or have no slopes somewhere answer as the live objects."""
 
-import ctypes
-import subprocess
-
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import no_compiler
+from in_c import InC
 from rotating_masses import INERTIA, measured, mhe_of_masses
 
 import rhec
-from notebooks.further.c_code import toolchain
 from rhec.core._casadi import compiled
 
-COMPILER = compiled.compiler()
-needs_compiler = pytest.mark.skipif(not COMPILER, reason="there is no C compiler")
+needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 TOLERANCE = 1e-9  # of answers, relative and absolute
-
-
-class InC:
-    """The struct rhec of an export, and its functions."""
-
-    def __init__(self, folder):
-        sources = [folder / source for source in toolchain.LIBRARY]
-        flags = ["-std=c99", "-ffp-contract=off", "-shared", "-fPIC"]
-        out = folder / "rhec.so"
-        subprocess.run([COMPILER, *flags, *sources, "-lm", "-o", out], check=True)
-        self.library = ctypes.CDLL(str(out))
-        sizes = (folder / "rhec_memory.h").read_text()
-        n_bytes = int(sizes.split("RHEC_MEMORY_BYTES ")[1].split()[0])
-        self.memory = ctypes.create_string_buffer(n_bytes)
-        self.begin()
-
-    def begin(self):
-        """Begin anew, from the guess."""
-        settings, guess = (
-            ctypes.byref(ctypes.c_char.in_dll(self.library, f"rhec_scenario{name}"))
-            for name in ("", "_guess")
-        )
-        self.library.rhec_init(self.memory, settings, guess)
-
-    def call(self, name, *arrays, length):
-        """Prepare and call: answer (length,) and status."""
-        arrays = [np.ravel(array, order="F").astype(float) for array in arrays]
-        answer = np.zeros(length)
-        getattr(self.library, f"rhec_prepare_{name}")(self.memory)
-        function = getattr(self.library, f"rhec_{name}")
-        status = function(self.memory, *(array.ctypes for array in arrays), answer.ctypes)
-        return answer, status
 
 
 @pytest.mark.nightly
@@ -62,6 +26,7 @@ def test_each_estimate_of_stiff_masses_is_finite_and_equal_to_pythons(tmp_path):
             for z in measured(seed):
                 mhe.prepare()
                 estimate = mhe.feedback(z)
+                in_c.prepare()
                 answer, status = in_c.call("estimate", z, length=11)
                 assert np.all(np.isfinite(answer))
                 assert (status == 0) == mhe.ok
@@ -93,6 +58,7 @@ def test_an_estimate_without_slopes_finds_back_in_c_as_in_python(tmp_path):
             z = np.array([0.01 if k < 40 else 0.3, 0.0]) + (0.1, 0.02) * rng.normal(size=2)
             mhe.prepare()
             estimate = mhe.feedback(z)
+            in_c.prepare()
             answer, status = in_c.call("estimate", z, length=3)
             assert (status == 0) == mhe.ok
             expected = np.concatenate(estimate[:3])

@@ -13,20 +13,16 @@ from soak import run_on
 import rhec
 from rhec import paper
 from rhec.core import runner
-from rhec.core._casadi import build as function
 from rhec.core._casadi import compiled
-from rhec.core.controller import rhc as controller
 from rhec.simulation import closed_loop
 from rhec.simulation import columns as log_columns
 from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot import references, terrain
+from rhec.tracked_robot import terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
     omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
-UNLIKE_TRACKS = dict(soil_under="tracks", slip_difference=0.05, rotation_centre_m=-0.2)
-UNLIKE_TRACKS |= dict(rut_length_m=0.5, gnss_slow_share=0.7, gnss_slow_time_s=300.0)
 
 
 def simulated(**changes):
@@ -38,88 +34,6 @@ def assert_equal_logs(one, other, atol=0.0):
 
 
 # Live and fused
-
-
-def live(scenario, samples):
-    """The loop in plain Python, from the parts that anyone may use."""
-    world, DT = closed_loop.set_up(scenario), paper.DT_S
-    given, soil, n_segments = world.settings, world.terrain, len(world.path.segments)
-    measure, drive, below = (
-        robot.measure(DT),
-        robot.drive(DT),
-        robot.soil(terrain.common_shape(soil), scenario.soil_under),
-    )
-    refer = references.build_references(
-        DT, scenario.prediction_horizon, n_segments, scenario.input_reference
-    )["references"]
-    pose, nu = np.array([0, scenario.start_offset_m, scenario.start_yaw_rad]), scenario.speed_mps
-    rhe = rhec.RHE(
-        process_noise=scenario.process_noise,
-        guess=(*pose[:2], pose[2] + scenario.guess_yaw_rad, nu, 1.0, 1.0),
-    )
-    rhc = rhec.RHC(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
-    rhc.iteration.start(controller.init(rhc.problem, world.guess[:3], world.guess[3:]))
-    memory, s, previous, rows = robot.init(pose, nu), 0.0, 0.0, []
-    for drawn in robot.draw_noise(scenario.seed, samples):
-        drawn = {
-            name: np.array(ca.evalf(value))
-            for name, value in function.unpack(ca.MX(ca.DM(drawn)), robot.NOISE).items()
-        }
-        now = given | memory | drawn
-        under = {k: flat(v) for k, v in below(**function.select_inputs(below, now)).items()}
-        measured = measure(**function.select_inputs(measure, now))
-        z = flat(measured["z"])
-        rhe.prepare()
-        estimate = rhe.feedback(z)
-        target = refer(
-            s=s, estimate=estimate[:6], omega_measured=z[3], **function.select_inputs(refer, given)
-        )
-        s = float(target["s"])
-        rhc.prepare()
-        command = rhc.feedback(
-            estimate[:3], estimate[3:6], np.array(target["xi_ref"]), flat(target["omega_ref"])
-        )
-        applied, previous = (previous if scenario.command_delay else command), command
-        driven = drive(**function.select_inputs(drive, now | under), omega_radps=applied)
-        true = *memory["pose"], *under["traction"], *under["yaw_drift_radpm"]
-        rows.append([*true, *z, *estimate[:6], command, s, rhe.kkt, rhc.kkt])
-        memory = {
-            name: flat(value) for name, value in (driven | dict(drift=measured["drift"])).items()
-        }
-    return np.array(rows)
-
-
-LIVE = """x_m y_m theta_rad mu kappa yaw_drift_radpm
-    x_meas_m y_meas_m nu_meas_mps omega_meas_radps x_hat_m
-    y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m kkt_rhe
-    kkt_rhc""".split()
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize(
-    "changes",
-    [
-        dict(),
-        dict(process_noise="printed", q=paper.Q1, command_delay=1),
-        dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2),
-        dict(guess_yaw_rad=0.3),
-        UNLIKE_TRACKS,
-    ],
-    ids=str,
-)
-def test_a_live_loop_is_the_fused_one(changes):
-    scenario = dataclasses.replace(MINUTE, **changes)
-    expected = rhec.simulate(scenario).log[LIVE].to_numpy()
-    got = live(scenario, len(expected))
-    scale = np.maximum(1, np.abs(expected))
-    np.testing.assert_allclose(got / scale, expected / scale, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
-def test_compiled_code_and_the_virtual_machine_agree(estimator):
-    compiled_log = simulated(estimator=estimator).log
-    with no_compiler():
-        assert_equal_logs(compiled_log, simulated(estimator=estimator).log, atol=1e-9)
 
 
 def test_a_run_can_be_cut_anywhere(run):

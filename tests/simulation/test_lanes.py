@@ -2,71 +2,24 @@
 
 import concurrent.futures
 import dataclasses
-import functools
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import controller, estimator, fused_sample, own_controller, untraceable
-from oracles import flat, mhe_instance, mpc_instance
-from robots import BICYCLE
+from helpers import untraceable
+from loops import LOOPS, SMALL, unlike
 
 import rhec
 from notebooks.studies import condensed
 from rhec.core import runner
 from rhec.core._casadi import compiled
-from rhec.core._casadi.packing import pack_array
-from rhec.core.controller import rhc
-from rhec.core.estimator import rhe
-from rhec.core.estimator.base import joint_guess
 from rhec.core.lanes import lanes, parts
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
-from rhec.tracked_robot.estimators import NAMES
 
 pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C++ compiler")
-SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
-
-
-def own_estimator():
-    """An estimator of one's own, with functions that no other has."""
-    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
-    moved = z[:2] - memory[:2]
-    theta = ca.if_else(z[2] > 0.3, ca.atan2(moved[1], moved[0]), memory[2] + 0.16 * z[3])
-    estimate = ca.vertcat(z[:2], theta, z[2], 0.9 * ca.tanh(z[2] * 9), ca.sqrt(0.7))
-    return ca.Function("mine", [memory, z], [estimate, estimate])
-
-
-KINDS = {name: dict(estimator=name) for name in NAMES}
-KINDS["rhe, with faults"] = dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),))
-KINDS |= {name: dict(speed_model=name) for name in ("input", "slipping")}
-KINDS["own controller"] = dict(controller=own_controller(SMALL))
-KINDS["two tracks"] = dict(soil_under="tracks")
-_SENSORS = dict(process_noise="consistent", sensors=("heading", "gyro"))
-KINDS |= {
-    f"{name}, gyro, heading": _SENSORS | dict(speed_model=name) for name in ("input", "slipping")
-}
-KINDS["side slip"] = dict(side_slip_rad=0.3, sensors=("gyro",))
-KINDS["own"] = dict(estimator=own_estimator())
-
-
-def unlike(kind):
-    """Scenarios of one structure that differ in all that no structure holds; steps fail in some."""
-    for i in range(8):
-        faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
-        faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
-        yield dataclasses.replace(
-            SMALL, seed=i, **dict(process_noise=(None, "likelihood")[i % 2]) | kind,
-            q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
-            start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
-            gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
-            encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
-            slip_difference=0.05 * (i - 4), rotation_centre_m=0.1 * (i - 3),
-            rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
-            faults=faults if "patches" in kind else (),
-        )  # fmt: skip
 
 
 def load_as_in_use(build, *structure):
@@ -84,61 +37,6 @@ def one_by_one_and_at_once(build, structure, memories, streams, settings, load=l
     runs = [*zip(memories, streams, settings)]
     at_once = runner.run(block, memories, streams, settings)
     return [runner.run_one(functions, *run) for run in runs], at_once
-
-
-LOADS = {name: (kind, lanes.load) for name, kind in KINDS.items()}
-LOADS |= {f"{name}, as in use": (KINDS[name], load_as_in_use) for name in ("rhe", "own")}
-
-
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize(("kind", "load"), LOADS.values(), ids=LOADS)
-def test_every_estimator_has_the_same_bits_in_a_lane(kind, load):
-    scenarios = [*unlike(kind)]
-    setups = [*map(closed_loop.set_up, scenarios)]
-    assert len({setup.structure for setup in setups}) == 1
-    streams = [
-        closed_loop.noise_and_faults(scenario.seed, scenario.faults, 100, setups[0].draws)
-        for scenario in scenarios
-    ]
-    one_by_one, at_once = one_by_one_and_at_once(
-        closed_loop.build_sample, setups[0].structure, [setup.memory for setup in setups], streams,
-        [setup.settings for setup in setups], load,
-    )  # fmt: skip
-    np.testing.assert_array_equal(at_once, one_by_one)
-    if kind == dict(estimator="rhe"):
-        ok = np.array(at_once)[:, :, closed_loop.COLUMNS.index("ok")]
-        assert ok.all(axis=1).any() and not ok.all(axis=1).all()
-
-
-@functools.cache
-def own_robot():
-    mhe = estimator(BICYCLE, mhe_instance(BICYCLE, np.random.default_rng(1), 2)[0], horizon=3)
-    return mhe, controller(BICYCLE, horizon=3)
-
-
-def build_own_loop():
-    return runner.build(fused_sample(*own_robot()))
-
-
-def test_an_own_model_has_the_same_bits_in_a_lane():
-    """Runs of unlike length, too, and more than there are lanes."""
-    mhe, mpc = own_robot()
-    memories, streams = [], []
-    for seed, samples in enumerate((48, 50, 7, 120, 48, 1, 60, 60, 33)):
-        rng = np.random.default_rng(seed)
-        guess, z = mhe_instance(BICYCLE, rng, samples, missing=0.1 * seed)
-        target = mpc_instance(BICYCLE, rng, 3)
-        references = np.concatenate([flat(target["x_ref"]), flat(target["u_ref"])])
-        z = z[:samples] * (1e12 if seed == 3 else 1.0)
-        streams.append(np.column_stack([z, np.tile(references, (len(z), 1))]))
-        start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, BICYCLE.sigma_guess))
-        plan = rhc.init(mpc.problem, guess[: len(mhe.model.states)], guess[len(mhe.model.states) :])
-        memories.append(np.concatenate([pack_array(start), pack_array(plan)]))
-    one_by_one, at_once = one_by_one_and_at_once(
-        build_own_loop, (), memories, streams, [{}] * len(streams)
-    )
-    for alone, beside in zip(one_by_one, at_once):
-        np.testing.assert_array_equal(beside, alone)
 
 
 # Parts
@@ -216,10 +114,11 @@ def assert_rows_of_simulate(table, scenarios):
 
 def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
     """Several structures in any order, groups that fill no register, runs of unlike length."""
-    kinds = (dict(), dict(estimator="ekf"), KINDS["own"])
+    names = ("rhe", "ekf", "own")
+    loops = [dataclasses.replace(SMALL, **LOOPS[name].fields) for name in names]
     scenarios = [
         dataclasses.replace(each, duration_s=each.duration_s + 4 * (each.seed % 2))
-        for each in (each for three in zip(*map(unlike, kinds)) for each in three)
+        for each in (each for three in zip(*map(unlike, loops)) for each in three)
     ]
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
     table = rhec.campaign(scenarios, workers=1)
@@ -254,7 +153,7 @@ def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
 
 
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
-    good = [*unlike({})][:2]
+    good = [*unlike(SMALL)][:2]
     alone = []
     simulate = campaigns.simulate
     monkeypatch.setattr(campaigns, "simulate", lambda each: alone.append(each) or simulate(each))
@@ -272,7 +171,7 @@ def test_an_error_of_ours_does_not_turn_into_slower_runs(always, monkeypatch, pl
     lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
     monkeypatch.setattr(place, name, lambda *given: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        rhec.campaign([*unlike({})], workers=1)
+        rhec.campaign([*unlike(SMALL)], workers=1)
 
 
 def test_an_error_in_a_loop_is_not_taken_for_one_of_its_compiler(always, monkeypatch, tmp_path):
@@ -282,7 +181,7 @@ def test_an_error_in_a_loop_is_not_taken_for_one_of_its_compiler(always, monkeyp
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
     monkeypatch.setattr(closed_loop, "build_sample", build_wrong_loop)
     with pytest.raises(RuntimeError, match="^a mistake$"):
-        rhec.campaign([*unlike({})], workers=1)
+        rhec.campaign([*unlike(SMALL)], workers=1)
 
 
 def test_a_helper_on_one_line_takes_no_other_helper_with_it():
@@ -311,7 +210,7 @@ def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always
 
 
 def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
-    scenarios = [*unlike({})]
+    scenarios = [*unlike(SMALL)]
     alone = [*map(rhec.simulate, scenarios)]
     lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
     monkeypatch.setattr(compiled, "is_compiled", lambda *what: False)
@@ -332,7 +231,7 @@ def test_what_has_no_lanes_runs_one_by_one(always):
 
 @pytest.mark.nightly
 def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
-    scenarios = [*unlike({})]
+    scenarios = [*unlike(SMALL)]
     table = rhec.campaign(scenarios, workers=1)
     monkeypatch.setattr(lanes, "_compiler", lambda: None)
     lanes.load.cache_clear()
@@ -341,10 +240,10 @@ def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
 
 
 def test_another_processor_has_another_library(monkeypatch):
-    here = lanes._name(build_own_loop, ())
+    here = lanes._name(build_functions, ())
     compiler, macros = lanes._compiler()
     monkeypatch.setattr(lanes, "_compiler", lambda: (compiler, macros + "#define __AVX1024F__ 1"))
-    assert lanes._name(build_own_loop, ()) != here
+    assert lanes._name(build_functions, ()) != here
 
 
 # Elementary functions

@@ -1,0 +1,315 @@
+"""One loop in all its forms: live objects, the fused loop, lanes, a batch and exported C agree.
+
+Runs of the paper's robot are compared with the compiled fused loop, those of any robot with its
+live objects. Lanes and batches have the same bits; the other forms differ by rounding.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from helpers import controller, estimator, fused_sample, model, no_compiler
+from in_c import InC
+from loops import LOOPS, SMALL, unlike
+from oracles import flat, mhe_instance, mpc_instance
+from robots import DT, ROBOTS, VARIANTS
+
+import rhec
+from notebooks.further.c_code import toolchain
+from rhec.core import runner
+from rhec.core._casadi import compiled
+from rhec.core._casadi.packing import pack_array
+from rhec.core.controller import rhc
+from rhec.core.estimator import rhe
+from rhec.core.estimator.base import joint_guess
+from rhec.core.lanes import lanes
+from rhec.simulation import closed_loop
+from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
+from rhec.simulation.live_robot import LiveRobot
+
+TOLERANCE = 1e-9
+ANSWERS = [*ESTIMATE, *COMMAND]
+
+
+def compared(found, expected):
+    np.testing.assert_allclose(found, expected, rtol=0, atol=TOLERANCE)
+
+
+# The paper's robot: its loops are `loops.LOOPS`
+
+
+def virtual_machine(scenario, run, folder):
+    """The fused loop on CasADi's virtual machine."""
+    with no_compiler():
+        columns = rhec.simulate(scenario).columns
+    for name, values in run.columns.items():
+        compared(columns[name].astype(float), values.astype(float))
+
+
+def live(scenario, run, folder):
+    """Objects in plain Python, on a robot in plain Python unless that has no such sensors."""
+    names = [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
+    robot = None if scenario.sensors or scenario.faults else LiveRobot(scenario)
+    setup = closed_loop.set_up(scenario)
+    with no_compiler():
+        mhe = rhec.RHE(
+            horizon=scenario.estimation_horizon,
+            process_noise=scenario.process_noise or "printed",
+            speed_model=scenario.speed_model,
+            sensors=scenario.sensors,
+            guess=tuple(setup.guess),
+        )
+        mpc = rhec.RHC(
+            horizon=scenario.prediction_horizon,
+            q=scenario.q,
+            r=scenario.r,
+            omega_max=scenario.omega_max_radps,
+        )
+        tracker = rhec.PathTracker(
+            setup.path, scenario.prediction_horizon, look_ahead_m=scenario.look_ahead_m
+        )
+    mpc.iteration.start(rhc.init(mpc.problem, setup.guess[:3], setup.guess[3:]))
+    answers = []
+    before = 0.0
+    for z in robot or run.log[names].to_numpy():
+        mhe.prepare()
+        mpc.prepare()
+        estimate = mhe.feedback(z)
+        references = tracker.references(estimate, z[3])
+        command = mpc.feedback(estimate.pose, estimate.p, *references)
+        answers.append([*z[:4], *estimate[:6], command, mhe.kkt, mpc.kkt])
+        if robot:
+            robot.drive(before if scenario.command_delay else command)
+        before = command
+    expected = run.log[[*MEASUREMENTS, *ANSWERS, "kkt_rhe", "kkt_rhc"]].to_numpy(float)
+    scale = np.maximum(1, np.abs(expected))
+    compared(answers / scale, expected / scale)
+
+
+def in_lanes(scenario, run, folder, load=lanes.load):
+    """Eight runs that differ in all that no structure holds: side by side, the same bits."""
+    if lanes._compiler() is None:
+        pytest.skip("there is no C++ compiler")
+    scenarios = [*unlike(scenario)]
+    setups = [*map(closed_loop.set_up, scenarios)]
+    (structure,) = {setup.structure for setup in setups}
+    streams = [
+        closed_loop.noise_and_faults(each.seed, each.faults, 100, setups[0].draws)
+        for each in scenarios
+    ]
+    memories, settings = zip(*((setup.memory, setup.settings) for setup in setups))
+    functions, block = (
+        make(closed_loop.build_sample, *structure) for make in (compiled.load, load)
+    )
+    assert block.lanes in (2, 4, 8)
+    at_once = np.array(runner.run(block, memories, streams, settings))
+    for rows, *alone in zip(at_once, memories, streams, settings):
+        np.testing.assert_array_equal(rows, runner.run_one(functions, *alone))
+    if scenario == SMALL:
+        ok = at_once[:, :, closed_loop.COLUMNS.index("ok")]
+        assert ok.all(axis=1).any() and not ok.all(axis=1).all()
+
+
+def in_c(scenario, run, folder, machine=toolchain.this_machine):
+    """The exported C, which is given the log."""
+    machine = machine()
+    if machine is None:
+        pytest.skip("there is no such compiler, or no emulator")
+    export = rhec.export(scenario, folder / "export")
+    quickly = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
+    objects = toolchain.library(machine, export, folder, quickly)
+    program = toolchain.program(machine, export, "replay", objects, quickly)
+    answers = toolchain.replay(machine, program, export / "log.csv")
+    compared(answers[ANSWERS], run.log[ANSWERS])
+    predicted = toolchain.STATUS["predicted"]
+    np.testing.assert_array_equal(answers["status"], np.where(run.log["ok"] == 1, 0, predicted))
+    assert toolchain.run(machine, program, export / "log.csv").returncode == 0
+
+
+def as_in_use(scenario, run, folder):
+    """Lanes compiled with the flags that campaigns have, without those of the tests."""
+
+    def load(build, *structure):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(compiled, "FLAGS", [flag for flag in compiled.FLAGS if flag != "-O0"])
+            return lanes.load.__wrapped__(build, *structure)
+
+    in_lanes(scenario, run, folder, load)
+
+
+def on_arm(scenario, run, folder):
+    in_c(scenario, run, folder, toolchain.arm)
+
+
+FORMS = (virtual_machine, live, in_lanes, in_c)
+ALWAYS = "rhe", "sensors and faults", "everything else", "own controller"
+NIGHTLY = [(name, form) for name in ("rhe", "own") for form in (as_in_use, on_arm)]
+
+
+def forms_of(loop):
+    """The forms that a loop has: not all are exported, and live objects are those of the paper."""
+    without = {name for name in ("live", "in_c") if name in loop.without}
+    return [form for form in FORMS if form.__name__ not in without]
+
+
+def loops_and_forms():
+    for name, loop in LOOPS.items():
+        for form in forms_of(loop):
+            marks = () if name in ALWAYS else pytest.mark.nightly
+            yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
+    for name, form in NIGHTLY:
+        yield pytest.param(name, form, marks=pytest.mark.nightly, id=f"{name}, {form.__name__}")
+
+
+@functools.cache
+def fused(name):
+    """A loop's scenario and its run by the compiled fused loop."""
+    scenario = dataclasses.replace(SMALL, **LOOPS[name].fields)
+    return scenario, rhec.simulate(scenario)
+
+
+@pytest.mark.parametrize(("name", "form"), [*loops_and_forms()])
+def test_a_loop_of_the_papers_robot_is_the_same_in_every_form(name, form, tmp_path):
+    form(*fused(name), tmp_path)
+
+
+# Any robot: an RHE and an RHC of each Model of `robots`
+
+EVERY_ROBOT = ROBOTS | VARIANTS
+HORIZON = 3
+SAMPLES = 40
+
+
+def objects(robot, guess):
+    return estimator(robot, guess, horizon=HORIZON), controller(robot, horizon=HORIZON)
+
+
+def problem_of(robot, seed, samples=SAMPLES):
+    """A guess, measurements with gaps, and references (samples) that keep bounds active."""
+    rng = np.random.default_rng(seed)
+    guess, z = mhe_instance(robot, rng, samples, missing=0.1)
+    wanted = [mpc_instance(robot, rng, HORIZON) for _ in range(samples)]
+    return guess, z[:samples], [(each["x_ref"], each["u_ref"]) for each in wanted]
+
+
+def by_live_objects(mhe, mpc, z, references):
+    """Rows (estimate, command), and whether each estimate was solved."""
+    rows = []
+    solved = []
+    for row, (x_ref, u_ref) in zip(z, references):
+        mhe.prepare()
+        mpc.prepare()
+        estimate = mhe.feedback(row)
+        u = mpc.feedback(estimate.x, estimate.p, x_ref, u_ref)
+        rows.append(np.concatenate([estimate.x, estimate.u, estimate.p, u]))
+        solved.append(mhe.ok)
+    return np.array(rows), np.array(solved)
+
+
+@functools.cache
+def scanned(name):
+    """The fused step of a robot's objects; its structure is the robot's name."""
+    robot = EVERY_ROBOT[name]
+    return objects(robot, np.zeros(len(robot.sigma_w)))
+
+
+def build_scan(name):
+    return runner.build(fused_sample(*scanned(name)))
+
+
+def memory_and_stream(name, guess, z, references):
+    """What the scan of a robot's fused step begins with, and its rows of input."""
+    (mhe, mpc), n_x = scanned(name), len(EVERY_ROBOT[name].states)
+    start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, EVERY_ROBOT[name].sigma_guess))
+    plan = rhc.init(mpc.problem, guess[:n_x], guess[n_x:])
+    stream = [[*row, *flat(x_ref), *flat(u_ref)] for row, (x_ref, u_ref) in zip(z, references)]
+    return np.concatenate([pack_array(start), pack_array(plan)]), np.array(stream)
+
+
+def fused_model(name, folder):
+    """The fused step, scanned over a log, is the live objects."""
+    guess, z, references = problem_of(EVERY_ROBOT[name], 0)
+    with no_compiler():
+        mhe, mpc = objects(EVERY_ROBOT[name], guess)
+        # The fused step has no first sample of its own, for which the live object iterates.
+        mpc.iteration.improve_first = lambda iterations: None
+        n_x = len(EVERY_ROBOT[name].states)
+        mpc.iteration.start(rhc.init(mpc.problem, guess[:n_x], guess[n_x:]))
+        expected, _ = by_live_objects(mhe, mpc, z, references)
+        rows = runner.run_one(build_scan(name), *memory_and_stream(name, guess, z, references), {})
+    compared(rows, expected)
+
+
+def model_in_lanes(name, folder):
+    """Runs of unlike length, and more than there are lanes, have the bits of single ones."""
+    if lanes._compiler() is None:
+        pytest.skip("there is no C++ compiler")
+    runs = []
+    for seed, samples in enumerate((48, 50, 7, 120, 48, 1, 60, 60, 33)):
+        guess, z, references = problem_of(EVERY_ROBOT[name], seed, samples)
+        runs.append(memory_and_stream(name, guess, z * (1e12 if seed == 3 else 1.0), references))
+    functions, block = compiled.load(build_scan, name), lanes.load(build_scan, name)
+    at_once = runner.run(block, *zip(*runs), [{}] * len(runs))
+    for rows, alone in zip(at_once, runs):
+        np.testing.assert_array_equal(rows, runner.run_one(functions, *alone, {}))
+
+
+def model_in_a_batch(name, folder):
+    """Estimators, filters and controllers side by side have the bits of single ones."""
+    robot, n = EVERY_ROBOT[name], 3
+    guess, _, references = problem_of(robot, 0)
+    z = np.array([problem_of(robot, seed)[1] for seed in range(n)])
+    filters = dict(model=model(robot), dt=DT, guess=tuple(guess), **robot.estimator)
+    singles = [(*objects(robot, guess), rhec.EKF(**filters)) for _ in range(n)]
+    together = [rhec.batch(single, n) for single in singles[0]]
+    for k, (x_ref, u_ref) in enumerate(references):
+        found = steps(together, z[:, k], x_ref, u_ref)
+        for run, single in enumerate(singles):
+            for part, whole in zip(steps(single, z[run, k], x_ref, u_ref), found):
+                np.testing.assert_array_equal(whole[run], part)
+
+
+def steps(of, z, x_ref, u_ref):
+    """Parts of the answers of an RHE, an RHC and an EKF, or of batches of them."""
+    mhe, mpc, ekf = of
+    for each in of:
+        each.prepare()
+    estimate = mhe.feedback(z)
+    return [*estimate, mpc.feedback(estimate.x, estimate.p, x_ref, u_ref), *ekf.feedback(z)]
+
+
+def model_in_c(name, folder):
+    """The exported C, whether it was prepared in time or not."""
+    if not compiled.compiler():
+        pytest.skip("there is no C compiler")
+    guess, z, references = problem_of(EVERY_ROBOT[name], 0)
+    with no_compiler():
+        mhe, mpc = objects(EVERY_ROBOT[name], guess)
+        c = InC(rhec.export((mhe, mpc), folder / "rhec"))
+    expected, solved = by_live_objects(mhe, mpc, z, references)
+    n_x, n_p = len(mhe.model.states), len(mhe.model.parameters)
+    n_e = len(mhe.model.names)
+    for k, (row, wanted) in enumerate(zip(z, references)):
+        if k % 3:
+            c.prepare()
+        known, status = c.call("estimate", row, length=n_e)
+        x, p = known[:n_x], known[n_e - n_p :]
+        command, _ = c.call("control", x, p, *wanted, length=expected.shape[1] - n_e)
+        compared([*known, *command], expected[k])
+        assert solved[k] == (status == 0)
+
+
+MODEL_FORMS = (fused_model, model_in_lanes, model_in_a_batch, model_in_c)
+
+
+@pytest.mark.parametrize("form", MODEL_FORMS, ids=lambda form: form.__name__)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "bicycle" else pytest.mark.nightly)
+        for name in EVERY_ROBOT
+    ],
+)
+def test_a_loop_of_any_robot_is_the_same_in_every_form(name, form, tmp_path):
+    form(name, tmp_path)

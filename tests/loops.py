@@ -1,0 +1,85 @@
+"""Loops of the paper's robot, each an estimator and a controller with their options, and runs of
+one loop that differ in all else.
+"""
+
+import dataclasses
+
+import casadi as ca
+from helpers import own_controller
+
+import rhec
+from rhec import paper
+from rhec.tracked_robot.estimators import NAMES
+
+SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """What a scenario has beyond SMALL, and the forms that such a loop does not have."""
+
+    fields: dict
+    without: tuple = ()
+
+
+def own_estimator():
+    """An estimator of one's own, with functions that no other has."""
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    moved = z[:2] - memory[:2]
+    theta = ca.if_else(z[2] > 0.3, ca.atan2(moved[1], moved[0]), memory[2] + 0.16 * z[3])
+    estimate = ca.vertcat(z[:2], theta, z[2], 0.9 * ca.tanh(z[2] * 9), ca.sqrt(0.7))
+    return ca.Function("mine", [memory, z], [estimate, estimate])
+
+
+# Who is told the truth, and who tells the controller of a drift, is not exported.
+NO_C = "oracle", "traction_oracle", "drift_oracle", "yaw_drift_ekf"
+GAP = rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0)
+OFF = rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0)
+NO_GYRO = rhec.Fault(kind="missing", channel="gyro", start_s=8.0, duration_s=3.0)
+BOTH = "gyro", "heading"
+UNLIKE_TRACKS = dict(soil_under="tracks", slip_difference=0.05, rotation_centre_m=-0.2)
+UNLIKE_TRACKS |= dict(rut_length_m=0.5, gnss_slow_share=0.7, gnss_slow_time_s=300.0)
+PATH = rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5))
+EVERYTHING_ELSE = dict(
+    speed_model="input", arrival_mean="filtered", input_reference="curvature", command_delay=1,
+    prediction_horizon=8, estimation_horizon=6, q=(1, 1, 10), backwards=True, look_ahead_m=0.3,
+    guess_yaw_rad=0.2, process_noise="likelihood", path=PATH,
+)  # fmt: skip
+
+LOOPS = {name: Loop(dict(estimator=name), ("live",) + ("in_c",) * (name in NO_C)) for name in NAMES}
+LOOPS |= {
+    "rhe": Loop({}),
+    "delayed": Loop(dict(process_noise="printed", q=paper.Q1, command_delay=1, look_ahead_m=0.3)),
+    "weights": Loop(dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2, guess_yaw_rad=0.3)),
+    "unlike tracks": Loop(UNLIKE_TRACKS),
+    "input": Loop(dict(speed_model="input", process_noise="likelihood")),
+    "slipping": Loop(dict(speed_model="slipping", faults=(GAP, OFF))),
+    "sensors and faults": Loop(
+        dict(speed_model="input", process_noise="consistent", sensors=BOTH, faults=(NO_GYRO, OFF))
+    ),
+    "slipping with a gyro": Loop(
+        dict(speed_model="slipping", process_noise="consistent", sensors=("gyro",))
+    ),
+    "side slip": Loop(dict(side_slip_rad=0.3, sensors=("gyro",))),
+    "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
+    "everything else": Loop(EVERYTHING_ELSE, ("live",)),
+    "own": Loop(dict(estimator=own_estimator()), ("live",)),
+    "own controller": Loop(dict(controller=own_controller(SMALL)), ("live", "in_c")),
+}
+
+
+def unlike(scenario):
+    """Eight scenarios of one structure that differ in all that it does not hold; steps fail."""
+    for i in range(8):
+        faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
+        faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
+        yield dataclasses.replace(
+            scenario, seed=i, process_noise=scenario.process_noise or (None, "likelihood")[i % 2],
+            q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
+            start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
+            gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
+            encoder_sigma_mps=(0.0, 1.0, 0.02, 1e5)[i // 2], mu_deviation=0.01 * i,
+            slip_difference=0.05 * (i - 4), rotation_centre_m=0.1 * (i - 3),
+            rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
+            faults=faults if scenario.faults else (),
+        )  # fmt: skip
