@@ -152,26 +152,6 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     assert len(libraries(tmp_path / "cache")) == 3
 
 
-@pytest.mark.nightly
-@needs_compiler
-def test_an_edit_compiles_again_only_where_c_is_made(tmp_path):
-    package = tmp_path / "rhec"
-    shutil.copytree(Path(rhec.__file__).parent, package)
-    answer(start(tmp_path / "cache", package=tmp_path))
-    for room in ("workbench", "simulation/campaigns", "logs", "embedded"):
-        for source in (package / room).glob("**/*.py"):
-            source.write_text(source.read_text() + "# another colour\n")
-    answer(start(tmp_path / "cache", package=tmp_path))
-    assert len(libraries(tmp_path / "cache")) == 1
-    parts = ("model", "solver", "estimator", "controller")
-    rooms = (*(f"core/{part}" for part in parts), "tracked_robot", "simulation")
-    for edited, room in enumerate(rooms, 2):
-        source = next(each for each in (package / room).glob("*.py") if each.stem != "__init__")
-        source.write_text(source.read_text() + "# another idea\n")
-        answer(start(tmp_path / "cache", package=tmp_path))
-        assert len(libraries(tmp_path / "cache")) == edited
-
-
 @needs_compiler
 def test_a_killed_build_is_built_again(tmp_path):
     compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"

@@ -127,25 +127,6 @@ def batch(z, m, P, V):
     )
 
 
-def test_one_step_solves_a_linear_problem():
-    """As the paper says: the KKT tolerance is then zero."""
-    rng, phases = np.random.default_rng(1), build_phases()
-    for _ in range(10):
-        z, m, P, V = linear_window(rng, N + 1)
-        _, answer, _ = iterate(
-            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 1
-        )
-        mean, covariance, _ = batch(z, m, P, V)
-        np.testing.assert_allclose(flat(answer["estimate"])[[0, 1, 3]], mean, atol=1e-9)
-        np.testing.assert_allclose(
-            np.array(answer["covariance"])[np.ix_([0, 1, 3], [0, 1, 3])], covariance, atol=1e-9
-        )
-        _, _, tolerances = iterate(
-            phases, window_memory(z, m, P, "parameter"), dict(z_N=z[-1]), dict(V=V), 2
-        )
-        assert tolerances[0] > 0.1 and tolerances[1] < 1e-6 * tolerances[0]
-
-
 def test_a_linear_problem_is_estimated_as_by_least_squares_over_all_there_ever_was():
     """With the filtered arrival cost and without process noise, what leaves the window is not lost;
     deviances sum to -2 log likelihood.

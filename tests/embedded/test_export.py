@@ -295,14 +295,6 @@ def test_the_closest_point_equals_path_project():
 # How it is called
 
 
-def test_answers_do_not_depend_on_when_preparation_runs(exported, library):
-    one, other = Robot(library, exported("paper")), Robot(library, exported("paper"))
-    for k, z in enumerate(log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:40]):
-        prepared, late = one.step(z), other.step(z, prepare=k % 3 == 0)
-        np.testing.assert_array_equal(prepared[0], late[0])
-        assert prepared[1:] == late[1:]
-
-
 def test_two_robots_are_independent(exported, library):
     measurements = log_of(exported("paper"))[MEASUREMENTS].to_numpy()[:30]
     alone = [Robot(library, exported("paper")).step(measurements[0])[1]]
@@ -755,6 +747,7 @@ def test_a_models_estimator_or_controller_can_be_exported_alone(tmp_path):
             mhe, _ = made_for(ROBOTS["bicycle"])
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_models_export_does_not_use_an_outlier(tmp_path):
     """A position 1 km off is predicted instead, by the live object and in C, and that is all."""

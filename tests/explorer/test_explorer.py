@@ -19,7 +19,7 @@ import pytest
 import rhec
 from rhec import paper, style
 from rhec.core._casadi import compiled
-from rhec.explorer import controls, explorer, field_run, screen
+from rhec.explorer import controls, explorer, field_run
 from rhec.explorer.panels import packed
 from rhec.tracked_robot import tuning
 
@@ -271,12 +271,6 @@ def test_small_changes_leave_the_limits(made):
     before = limits()
     made.inputs["q", 0].value = 1.5
     assert limits() == before
-
-
-def test_the_script_is_short_and_asks_nothing_of_a_network():
-    script = Path(screen.__file__).with_suffix(".js").read_text("utf-8")
-    assert len(script.splitlines()) <= 150 and max(map(len, script.splitlines())) <= 100
-    assert not any(word in script for word in ("fetch(", "://", "import("))
 
 
 # What cannot be

@@ -18,15 +18,13 @@ from helpers import (
     recorded_log,
     warns_of_a_lost_estimate,
 )
-from text_boxes import text_defects
 
 import rhec
 from notebooks.further import recorded_logs_plots as drawings
 from notebooks.further.recorded import scores
-from notebooks.further.recorded_logs import replay_table
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED, RECORDED_TRUTH, TRACKS
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH
 
 LOG = recorded_log(noise_m=0.02)
 
@@ -462,11 +460,6 @@ def test_a_log_that_cannot_be_replayed_is_refused_in_a_sentence(log, sentence):
         rhec.replay(log)
 
 
-def test_help_names_every_column_of_a_recording():
-    names = [*RECORDED.values(), *RECORDED_TRUTH.values(), *TRACKS, "t_s", "segment", "pos_ok"]
-    assert not [name for name in names if name not in rhec.replay.__doc__]
-
-
 FOREIGN = LOG.rename(
     columns=dict(x_m="Easting [m]", y_m="northing", speed_mps="vel", yaw_rate_radps="gyro")
 )
@@ -646,28 +639,6 @@ def test_faults_reach_the_measurements():
         )
         assert (
             np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0
-        )
-
-
-def test_figures_of_a_log_with_and_without_truth():
-    for log in (LOG, LOG.drop(columns=list(RECORDED_TRUTH.values()))):
-        replay = {"RHE": scores.perturbed_replay(log, 0, process_noise="likelihood")}
-        trials = {"RHE": scores.perturbed_scores(log, range(2), process_noise="likelihood")}
-        for figure in (
-            drawings.replay_log(replay["RHE"], "a $ b"),
-            drawings.replay_path(rhec.replay(log, process_noise="likelihood"), "a $ b"),
-            drawings.replay_yaw(replay),
-            drawings.replay_traction(replay, "RHE"),
-            drawings.replay_innovations(replay),
-        ):
-            assert text_defects(figure) == []
-        table = replay_table(trials)
-        if "yaw_true_rad" in log:
-            figure = drawings.replay_trials(trials, table, "a $ b")
-            assert "2 noise seeds" in figure.axes[0]._left_title.get_text()
-            assert text_defects(figure) == []
-        assert (table["n"] == 2).all() and ("RMS error of yaw [rad]" in set(table["quantity"])) == (
-            "yaw_true_rad" in log
         )
 
 

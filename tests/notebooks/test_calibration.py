@@ -72,12 +72,3 @@ def test_w_by_tracking_is_found_within_its_bounds_wherever_the_least_error_is(
     tried = np.array([scenario.sigma_w for scenario in driven])
     assert tried.min() > calibration.LEAST * 0.99 and tried.max() < 1.01
     assert {scenario.sigma_v is not None for scenario in driven} == {estimator == "rhe"}
-
-
-@pytest.mark.nightly
-def test_the_tracking_error_is_the_mean_of_single_runs():
-    fields = dict(estimator="ekf", duration_s=30.0)
-    alone = [rhec.simulate(rhec.Scenario(seed=s, **fields)) for s in (1000, 1001)]
-    mean = np.mean([run.metrics["mean_error_true_m"] for run in alone])
-    found = calibration.tracking_error_m(seeds=(1000, 1001), **fields)
-    assert found == pytest.approx(mean, rel=1e-12)

@@ -10,8 +10,6 @@ from oracles import flat
 import rhec
 from notebooks.further.rivals import cautious
 from rhec import paper
-from rhec.core._casadi.compiled import BufferedFunction
-from rhec.simulation.live_robot import LiveRobot
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 SET, OMEGA, SLOWEST = 0.5, paper.OMEGA_MAX_RADPS, cautious.SLOWEST_MPS["row"]
@@ -136,32 +134,6 @@ def test_one_object_serves_all_seeds_and_is_equal_to_another_of_the_same_fields(
     assert cautious.controller(plain) != cautious.controller(plain, caution=1.0)
     slower = dataclasses.replace(plain, speed_mps=0.3)
     assert cautious.controller(plain) != cautious.controller(slower)
-
-
-@pytest.mark.nightly
-def test_the_live_loop_is_the_fused_one():
-    run = rhec.simulate(DRIVE)
-    robot = LiveRobot(DRIVE)
-    settings, path = robot.setup.settings, robot.setup.path
-    rhe = rhec.RHE(process_noise="consistent", guess=tuple(robot.setup.guess))
-    rhc, tracker = rhec.RHC(), rhec.PathTracker(path)
-    limit = BufferedFunction(cautious.build_speed(QUANTITIES, len(path.segments), paper.DT_S))
-    limit.set(**{name: settings[name] for name in limit.function.name_in() if name in settings})
-    limit.set(speed=DRIVE.speed_mps, caution=0.25)
-    rows = []
-    for z in robot:
-        rhe.prepare(), rhc.prepare()
-        estimate = rhe.feedback(z)
-        xi_ref, omega_ref = tracker.references(estimate, z[3])
-        omega = rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref)
-        limit.set(s=tracker.s_m, estimate=estimate[:6], covariance=estimate.covariance)
-        limit.call()
-        limit.set(speed=limit.results["speed"])
-        rows.append([*robot.pose, omega])
-        robot.drive(omega, speed_mps=limit.results["speed"])
-    expected = run.log[["x_m", "y_m", "theta_rad", "omega_cmd_radps"]]
-    np.testing.assert_allclose(rows, expected, rtol=0, atol=1e-9)
-    assert run.log["nu_mps"].min() < 0.45  # it did slow down
 
 
 @pytest.mark.nightly

@@ -10,7 +10,7 @@ from scipy import stats
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
-from notebooks.studies import statistics, tables, two_looks
+from notebooks.studies import statistics, two_looks
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
 from rhec.simulation.campaigns.map import map_runs, parallel_map
@@ -172,19 +172,6 @@ def test_a_ratio_to_almost_nothing_is_undecided_without_a_warning():
     found = statistics.ratio(np.ones(5), np.arange(5) == 0, above=1)
     assert found.value == 5 and np.isnan([found.low, found.high, found.p]).all()
     assert found.verdict == UNDECIDED and found.n == 5
-
-
-def test_a_table_is_read_as_texts():
-    row = dict(
-        estimator="RHE", quantity="error [m]", mean=0.03461, low=0.0323, high=0.037, paper=0.04
-    )
-    rows = [row, row | dict(estimator="EKF", mean=1234.5, low=np.nan, high=np.nan, paper="")]
-    rows.append(row | dict(quantity="runs", mean=0.0, low=0.0, high=0.0, paper="", verdict=HOLDS))
-    shown = tables.readable(pd.DataFrame(rows))
-    assert list(shown.columns) == ["RHE", "EKF", "paper"]
-    assert list(shown.loc["error [m]"]) == ["0.0346 [0.0323, 0.0370]", "1234", "0.04"]
-    assert list(shown.loc["runs"]) == ["0 (holds)", "", ""]
-    assert tables.readable(pd.DataFrame(rows), transposed=True).loc["EKF", "error [m]"] == "1234"
 
 
 def finding(verdict):
@@ -698,23 +685,6 @@ def test_the_time_from_which_an_error_stays_small(error, reached):
     assert experiments.reached_s(error) == pytest.approx(reached)
 
 
-def test_hard_coded_traction_on_soil_of_that_traction_is_the_traction_oracle(virtual_machine):
-    sigma_w = (0.02, 0.02, 0.01, 0.01)
-    common = dict(terrain=rhec.Terrain.uniform(0.9, 0.8), duration_s=20.0)
-    told = rhec.simulate(rhec.Scenario(estimator="traction_oracle", sigma_w=sigma_w, **common)).log
-    coded = rhec.simulate(rhec.Scenario(estimator="fixed_traction", sigma_w=sigma_w, **common)).log
-    columns = [
-        "x_m",
-        "y_m",
-        "theta_rad",
-        "x_hat_m",
-        "theta_hat_rad",
-        "kappa_hat",
-        "omega_cmd_radps",
-    ]
-    np.testing.assert_allclose(coded[columns], told[columns], atol=1e-9)
-
-
 @pytest.mark.nightly
 def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machine):
     """It does from the worst starts; what is reported is what the last run has."""
@@ -728,20 +698,6 @@ def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machin
 
 
 # The augmented EKF
-
-
-def test_the_augmented_ekf_learns_the_traction_and_knows_no_bounds(virtual_machine):
-    log = rhec.simulate(
-        rhec.Scenario(
-            estimator="augmented_ekf",
-            slip_difference=0.0,
-            gnss_slow_share=0.0,
-            process_noise="likelihood",
-            terrain=rhec.Terrain.uniform(0.9, 0.8),
-        )
-    ).log
-    assert np.abs(log[["mu_hat", "kappa_hat"]].iloc[-1].to_numpy() - (0.9, 0.8)).max() < 0.05
-    assert log[["mu_hat", "kappa_hat"]].to_numpy().max() > 1
 
 
 # Tables and figure

@@ -86,17 +86,6 @@ def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(run
     assert told.states == ("x", "y", "θ", "ν") and told.errors.shape == (3, 300, 4)
 
 
-@pytest.mark.nightly
-def test_the_rhe_is_measured_in_all_its_states(runs):
-    rhe = consistency.measure(Scenario(), runs)
-    assert rhe.errors.shape == (
-        3,
-        300,
-        6,
-    ) and rhe.nees.shape == rhe.nis_position.shape == rhe.nis_speed.shape == (3, 300)
-    assert np.isfinite(rhe.nees).all() and (rhe.nees >= 0).all()
-
-
 @pytest.fixture(scope="module")
 def training_runs():
     return calibration.oracle_runs(calibration.TRAINING_SEEDS)

@@ -4,9 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import rhec
 from notebooks.further import traction_worth
-from notebooks.further.rivals import pure_pursuit
 
 SEEDS = 40
 PURSUIT = "bounded EKF, pure pursuit"
@@ -61,21 +59,3 @@ def test_what_a_part_is_worth_is_a_ratio_at_equal_seeds(tables):
     assert row["verdict"] == traction_worth.PAYS
     assert worth.loc["estimating the traction: EKF", "verdict"] == traction_worth.COSTS
     assert worth.loc["pure pursuit in place of the RHC", "verdict"] == "undecided"
-
-
-def test_all_loops_are_scenarios():
-    for loop in traction_worth.LOOPS:
-        one, other = traction_worth.scenarios(loop, range(2))
-        assert (one.seed, other.seed) == (0, 1)
-        assert isinstance(one.controller, rhec.Controller) == (loop == PURSUIT)
-        if loop == PURSUIT:
-            assert one.controller == pure_pursuit.controller(one)
-
-
-def test_rows_of_a_drive_belong_to_their_loop(monkeypatch):
-    short = {"EKF": dict(estimator="ekf", duration_s=20.0), "RHE": dict(duration_s=20.0)}
-    monkeypatch.setattr(traction_worth, "LOOPS", short)
-    for loop, rows in traction_worth.drive(short, range(2)).items():
-        for row in rows.itertuples():
-            metrics = rhec.simulate(rhec.Scenario(**short[loop], seed=row.seed)).metrics
-            assert row.mean_error_true_m == pytest.approx(metrics["mean_error_true_m"], rel=1e-12)

@@ -50,16 +50,6 @@ def test_the_search_finds_the_minimum():
     assert error < 0.02
 
 
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("loop", ["bounded_ekf", "pure_pursuit"])
-def test_the_error_is_the_mean_of_single_runs(loop, monkeypatch):
-    monkeypatch.setattr(tune_loops, "TRAINING_SEEDS", (1000, 1001))
-    fields = TUNED[loop] | dict(duration_s=20.0)
-    alone = [rhec.simulate(each) for each in tune_loops.scenarios(loop, fields)]
-    mean = np.mean([run.metrics["mean_error_true_m"] for run in alone])
-    assert tune_loops._error_m(loop, fields) == pytest.approx(mean, rel=1e-12)
-
-
 @pytest.mark.parametrize("loop", tune_loops.LOOPS)
 def test_what_was_tuned_is_stored_and_is_a_scenario(loop):
     kept, _ = tune_loops.LOOPS[loop]

@@ -341,24 +341,6 @@ def test_a_notebooks_parameter(value, kind):
         assert str(error).startswith("given") and " was " in str(error) and "\n" not in str(error)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["../seed", "/tmp/seed", "seed/../../x", "se ed", "seed;x", "", "__import__('os')", "seed\n"],
-)
-def test_a_parameter_named_like_a_path_or_like_code_is_refused(name, monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["notebook", "03_scenario_a.ipynb", "-p", name, "1"])
-    nbformat.write(v4.new_notebook(), "03_scenario_a.ipynb")
-    with pytest.raises(SystemExit) as refusal:
-        notebook.main()
-    assert (
-        refusal.value.code == 2
-        and capsys.readouterr().err
-        == f"NAME was {name!r}; it must be a name as in Python, such as seed\n"
-    )
-    assert os.listdir() == ["03_scenario_a.ipynb"]
-
-
 def test_a_parameter_is_data_to_a_notebook(monkeypatch, capfd, tmp_path):
     """Values that would leave the string they are in, or the folder, arrive as they are, to be
     refused.

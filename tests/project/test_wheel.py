@@ -106,19 +106,6 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert {*tracked.stdout.split(), data} <= {*names} and "rhec/py.typed" in names
 
 
-def test_its_description_needs_nothing_of_the_repository(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        about = archive.read(f"rhec-{rhec.__version__}.dist-info/METADATA").decode()
-    _, _, description = about.partition("\n\n")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    links = re.findall(r"\]\(([^)]*)\)", description)
-    assert links == [link for link in re.findall(r"\]\(([^)]*)\)", readme) if "://" in link]
-    assert "<img" not in description and "figures/fig" not in description
-    headings = re.findall(r"(?m)^#+ .*$", readme)
-    assert re.findall(r"(?m)^#+ .*$", description) == headings
-    assert len(description) > 0.9 * len(readme)
-
-
 def test_one_version_everywhere():
     assert metadata.version("rhec") == rhec.__version__
     assert f"\nversion: {rhec.__version__}\n" in (ROOT / "CITATION.cff").read_text()

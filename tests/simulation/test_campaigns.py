@@ -368,16 +368,6 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     assert_equal_rows(rhec.campaign(short(), tmp_path), first)
 
 
-def test_only_the_wanted_rows_of_a_folder_are_loaded(tmp_path):
-    for scenarios in (short(3), [rhec.Scenario(duration_s=4.0)]):
-        rhec.campaign(scenarios, tmp_path)
-    folder = store.open_folder(tmp_path)
-    rows = load_rows(folder)
-    key = store.scenario_key(short(3)[1])
-    (loaded,) = filter(None, store.load_rows(folder, {key}))
-    assert repr(loaded) == repr({key: rows[key]})  # a NaN is not equal to itself
-
-
 def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)
@@ -722,29 +712,6 @@ def test_no_scheduler_and_no_worker_are_said_so(started, tmp_path, monkeypatch):
 
 
 @pytest.mark.nightly
-def test_a_killed_scheduler_ends_the_command_in_one_sentence(started, tmp_path):
-    address = scheduler(started, tmp_path)
-    its_process = started.processes[0]
-    worker(started, address, tmp_path)
-    drives = ["-p", "estimator", "ekf", "-p", "duration_s", "20", "--seeds", "3000"]
-    process = subprocess.Popen(
-        [*command(tmp_path)[:4], *drives, "--folder", str(tmp_path / "rows")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | dict(DASK_SCHEDULER_ADDRESS=address, PYTHONPATH=str(ROOT)),
-    )
-    while not list(tmp_path.glob("rows/*/*.parquet")):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
-    time.sleep(0.5)
-    its_process.kill()
-    out, err = process.communicate(timeout=120)
-    assert (process.returncode, out) == (1, "")
-    assert err == f"rhec: the connection to the scheduler at {address} was lost\n"
-
-
-@pytest.mark.nightly
 def test_a_scheduler_that_goes_away_is_said_so(started, tmp_path, monkeypatch):
     monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
     address = scheduler(started, tmp_path)
@@ -940,6 +907,7 @@ def test_one_run_loads_neither_campaigns_nor_lanes():
 # Memory
 
 
+@pytest.mark.nightly
 def test_rows_of_runs_take_little_memory_and_come_back_as_they_were():
     rng = np.random.default_rng(0)
     metrics = {name: type(value) for name, value in store._example_metrics().items()}

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -237,24 +236,6 @@ def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
 # Parts of one's own
 
 
-def test_an_estimator_of_ones_own():
-    """Ten lines: position and speed as measured, yaw by integration; what it is told is what it
-    answers with.
-    """
-    with no_compiler():
-        memory, z = ca.SX.sym("memory", 8), ca.SX.sym("z", 4)
-        theta, count = memory[2] + 0.2 * 0.8 * z[3], memory[6]
-        estimate = ca.vertcat(z[:2], theta, z[2], 0.9, 0.8)
-        mine = ca.Function("mine", [memory, z], [ca.vertcat(estimate, count + 1, 0), estimate])
-        log = simulated(estimator=mine, guess_yaw_rad=0.1).log
-    np.testing.assert_array_equal(log["x_hat_m"], log["x_meas_m"])
-    np.testing.assert_allclose(
-        log["theta_hat_rad"], 0.1 + 0.16 * np.cumsum(log["omega_meas_radps"]), atol=1e-9
-    )
-    assert np.all(log["kappa_hat"] == 0.8) and log["kkt_rhe"].isna().all() and log["ok"].all()
-    assert log["error_true_m"][100:].mean() < 0.4
-
-
 def test_terrain_and_path_of_ones_own():
     with no_compiler():
         soil, target = (
@@ -286,12 +267,6 @@ def test_the_oracles_know_what_they_say():
 
 
 # What a run shows of itself
-
-
-def test_in_a_notebook_a_run_is_a_table_of_its_metrics_and_one_picture(run):
-    page = run._repr_html_()
-    assert all(f"<td>{name}</td>" in page for name in run.metrics)
-    assert page.count("<img ") == 1 and "http" not in page
 
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])

@@ -10,13 +10,11 @@ from helpers import SIMPLE_WORLD
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import flat
-from text_boxes import text_defects
 
 import rhec
 from notebooks.further import faults as fault_study
-from notebooks.further.faults_plots import fault_courses, fault_overview
 from rhec import paper
-from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.simulation import fault_signals, faults
 from rhec.simulation.faults import Fault
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -215,6 +213,8 @@ def test_the_log_has_the_measurements_that_arrived():
     assert (
         stuck.loc[50:59, ["x_meas_m", "y_meas_m"]] == stuck.loc[49, ["x_meas_m", "y_meas_m"]]
     ).all(axis=None)
+    infinite = simulated(Fault(kind="infinite", start_s=10.0, duration_s=2.0)).log
+    assert infinite.loc[50:59, "error_m"].isna().all()
     for log in (out, stuck):
         np.testing.assert_array_equal(
             log.drop(columns="on_straight")[:50], healthy.log.drop(columns="on_straight")[:50]
@@ -284,58 +284,6 @@ def test_a_response_follows_from_the_errors():
     assert not fault_study.response(wild, 10.0, 12.0)["in_bounds"]
 
 
-@pytest.mark.nightly
-def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
-    cases = {
-        family: dict(list(fault_study.CASES[family].items())[:2]) for family in ("outage", "start")
-    }
-    table, errors = fault_study.study(
-        rhec.Scenario(process_noise="likelihood"),
-        range(2),
-        {"RHE": {}, "EKF": {"arrival_mean": "filtered"}},
-        cases,
-    )
-    assert len(table) == 2 * 2 * 2 * 2 and set(errors) == set(
-        zip(table["family"], table["case"], table["estimator"])
-    )
-    outage = errors["outage", "3 s", "RHE"]
-    assert (
-        outage.shape == (2, round((fault_study.BEFORE_S + 3 + fault_study.AFTER_S) / DT))
-        and np.isfinite(outage).all()
-    )
-    numbers = fault_study.fault_table(table, {"": 20.0, "start": 1.0}).set_index(
-        ["family", "case", "estimator"]
-    )
-    for key, runs in table.groupby(["family", "case", "estimator"], sort=False):
-        key = (fault_study.FAMILIES[key[0]], *key[1:])
-        assert numbers.loc[key, "recovery_s"] == pytest.approx(
-            runs["recovery_s"].mean(), nan_ok=True
-        )
-        assert (
-            numbers.loc[key, "back"] == runs["recovery_s"].notna().sum()
-            and numbers.loc[key, "n"] == 2
-        )
-        assert numbers.loc[key, "verdict"] == ("does not hold" if "start" in key else "holds")
-    keys = [(family, case) for family in cases for case in cases[family]]
-    figure = fault_courses(keys, table, errors, fault_study.BEFORE_S)
-    shown = [axes for axes in figure.axes if axes.get_visible()]
-    titles = [axes._left_title.get_text().split("\n")[0] for axes in shown]
-    assert all(title.endswith(case) for title, (_, case) in zip(titles, keys))
-    assert "2 seeds" in figure.get_suptitle() and "[m]" in figure.get_supylabel()
-    for axes, key in zip(shown, keys):
-        off, largest = axes.lines[0].get_ydata(), axes.lines[1].get_ydata()
-        of_case = errors[(*key, "RHE")]
-        known = ~np.isnan(of_case).any(axis=0)
-        np.testing.assert_allclose(off, np.nanmedian(of_case[:, known.argmax() :], axis=0))
-        assert (largest >= off).all()
-    overview = fault_overview(numbers.reset_index(), 2)
-    assert text_defects(figure) == text_defects(overview) == []
-    assert len(overview.axes[0].get_yticklabels()) == len(keys)
-    words = [text.get_text() for text in overview.axes[1].texts]
-    back = numbers.reset_index().groupby(["family", "case"], sort=False)["back"]
-    assert words == [", ".join(map(str, counts)) for _, counts in back]
-
-
 # Arguments
 
 
@@ -363,9 +311,3 @@ def test_a_study_has_a_row_a_run_a_table_row_a_case_and_a_figure_a_family():
 def test_a_bad_fault_is_refused_in_one_sentence(bad, sentence):
     with pytest.raises(ValueError, match=sentence):
         Fault(**bad)
-
-
-def test_a_scenario_takes_faults_only():
-    with pytest.raises(ValueError, match="^faults"):
-        rhec.Scenario(faults=("missing",))
-    assert closed_loop.set_up(SHORT).draws == ("noise",)
