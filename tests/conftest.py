@@ -11,20 +11,21 @@ from rhec.core.lanes import lanes
 
 HERE = Path(__file__).parent
 UNOPTIMISED = HERE / "unoptimised"
-# The files that take longest, each half a minute or more. Parallel workers begin with them, so that
-# no worker is left with one of them at the end.
+# The files that take longest, some of them with --thorough alone. Parallel workers begin with
+# them, so that no worker is left with one of them at the end.
 LONGEST = (
+    "logs/test_spoilt.py",
+    "agreement/test_forms.py",
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",
     "embedded/test_export.py",
     "project/test_failing_disk.py",
-    "notebooks/test_claims.py",
-    "docs/test_report.py",
+    "logs/test_replay.py",
+    "core/test_any_robot.py",
     "notebooks/test_tutorial.py",
     "project/test_benchmark.py",
-    "logs/test_gyro.py",
-    "logs/test_replay.py",
-    "simulation/test_sensors.py",
+    "project/test_command_line.py",
+    "core/test_compiled.py",
 )
 
 

@@ -11,21 +11,6 @@ from rhec.tracked_robot.sensors import speed_model_of
 SPEED_MODELS = ["parameter", "input"]
 
 
-def instance(rng, speed_model):
-    """Joint state and input with ordinary values."""
-    xi, nu, traction, omega = (
-        rng.normal(size=3),
-        0.5 + 0.2 * rng.normal(),
-        rng.uniform(0.3, 1, 2),
-        rng.normal(),
-    )
-    return (
-        (np.array([*xi, nu, *traction]), [omega])
-        if speed_model == "parameter"
-        else (np.array([*xi, *traction]), [nu, omega])
-    )
-
-
 def interval_of(speed_model):
     return base.interval(speed_model_of(speed_model).model)
 
@@ -43,26 +28,6 @@ def arc(pose, nu, mu, kappa, omega, t):
     )
 
 
-@pytest.mark.parametrize("speed_model", SPEED_MODELS)
-def test_sensitivities_are_the_finite_differences(speed_model):
-    interval, rng, h = interval_of(speed_model), np.random.default_rng(0), 1e-6
-    for _ in range(10):
-        s, v = instance(rng, speed_model)
-        w, n = np.array([*s, *v]), len(s)
-
-        def step(w):
-            return flat(interval.step(w[:n], w[n:], 0.2))
-
-        differences = np.array(
-            [(step(w + h * e) - step(w - h * e)) / (2 * h) for e in np.eye(len(w))]
-        ).T
-        s_next, D, B = (np.array(each) for each in interval.linearised(s, v, 0.2))
-        np.testing.assert_allclose(
-            np.hstack([np.array(interval.A_0) + D, B]), differences, atol=1e-8
-        )
-        np.testing.assert_array_equal(s_next.ravel(), step(w))
-
-
 def test_the_runge_kutta_step_is_of_fourth_order():
     """Halving the step divides the error of one step by 2⁵."""
     pose, p, omega = np.array([1.0, -2.0, 0.7]), (0.8, 0.9, 0.7), 1.3
@@ -75,14 +40,6 @@ def test_the_runge_kutta_step_is_of_fourth_order():
     ratios = [error(dt) / error(dt / 2) for dt in (1.0, 0.5, 0.25)]
     np.testing.assert_allclose(ratios, 32, rtol=0.1)
     assert error(0.2) < 1e-6
-
-
-@pytest.mark.parametrize("speed_model", SPEED_MODELS)
-def test_parameters_stay_constant_over_an_interval_and_zero_time_changes_nothing(speed_model):
-    interval, (s, v) = interval_of(speed_model), instance(np.random.default_rng(1), speed_model)
-    np.testing.assert_array_equal(flat(interval.step(s, v, 0.2))[3:], s[3:])
-    np.testing.assert_array_equal(flat(interval.step(s, v, 0.0)), s)
-    assert np.all(flat(interval.step(s, v, 0.2))[:3] != s[:3])
 
 
 def test_with_full_traction_it_is_the_traditional_model():
@@ -98,13 +55,6 @@ def test_with_full_traction_it_is_the_traditional_model():
         arc(pose, 0.5, 1, 1, 0.2, 0.2),
         atol=1e-9,
     )
-
-
-def test_the_two_speed_models_move_alike():
-    s, (omega,) = instance(np.random.default_rng(2), "parameter")
-    by_parameter = flat(interval_of("parameter").step(s, omega, 0.2))
-    by_input = flat(interval_of("input").step(np.delete(s, 3), [s[3], omega], 0.2))
-    np.testing.assert_array_equal(np.delete(by_parameter, 3), by_input)
 
 
 @pytest.mark.parametrize("speed_model", [*SPEED_MODELS, "slipping"])

@@ -80,17 +80,7 @@ def test_estimate_and_references_count_in_feedback_alone():
 
 @pytest.mark.parametrize(
     "name, value",
-    [
-        ("pose", (0, 0)),
-        ("pose", 0.0),
-        ("p", (1, 1, 1, 1)),
-        ("xi_ref", np.zeros((N + 1, 3))),
-        ("xi_ref", np.zeros((3, N))),
-        ("xi_ref", np.zeros((3, 1))),
-        ("omega_ref", np.zeros(N + 1)),
-        ("omega_ref", np.zeros((1, N))),
-        ("omega_ref", 0.0),
-    ],
+    [("pose", (0, 0)), ("xi_ref", np.zeros((N + 1, 3))), ("omega_ref", np.zeros(N + 1))],
 )
 def test_a_wrong_shape_is_named(name, value):
     rhc = rhec.RHC()
@@ -102,13 +92,10 @@ def test_a_wrong_shape_is_named(name, value):
 @pytest.mark.parametrize(
     "bad, name",
     [
-        (dict(q=(1, 1)), r"q(\[2\])?"),
         (dict(q=(1, 1, -1)), r"q\[2\]"),
         (dict(r=0), "r"),
         (dict(qn_factor="10"), "qn_factor"),
         (dict(omega_max=float("nan")), "omega_max"),
-        (dict(dt=-0.2), "dt"),
-        (dict(horizon=1), "horizon"),
         (dict(horizon=15.0), "horizon"),
     ],
 )

@@ -25,14 +25,6 @@ def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed
         assert calibrated < calibration.deviance(estimator, other, runs)
 
 
-def test_the_deviance_is_a_sum_over_runs(runs):
-    sigma = SIGMA_W["ekf"]["likelihood"]
-    each = [calibration.deviance("ekf", sigma, [run]) for run in runs]
-    assert (
-        calibration.deviance("ekf", sigma, runs) == pytest.approx(sum(each)) and each[0] != each[1]
-    )
-
-
 @pytest.mark.parametrize("estimator, entries", [("rhe", 6), ("ekf", 4)])
 def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(
     estimator, entries, monkeypatch

@@ -5,7 +5,6 @@ time is asserted.
 import sys
 
 import numpy as np
-import pandas as pd
 import pytest
 from benchmark import (
     acados_peer,
@@ -104,19 +103,6 @@ def test_contestants_take_turns_and_sums_are_sums():
         and table["A", "RHE + RHC", "overall"] == 10
     )
     assert table["B", "closed loop", "overall"] == 5
-
-
-def test_spread_is_the_quartiles():
-    times = pd.DataFrame(dict(who=["b"] * 5 + ["a"] * 5, us=[5, 1, 2, 4, 3, 50, 10, 20, 40, 30]))
-    expected = pd.DataFrame(
-        dict(
-            who=["b", "a"],
-            lower_quartile_us=[2.0, 20],
-            median_us=[3.0, 30],
-            upper_quartile_us=[4.0, 40],
-        )
-    )
-    pd.testing.assert_frame_equal(step.spread(times, ["who"]), expected, check_names=False)
 
 
 def test_the_step_is_measured_and_drawn(monkeypatch):

@@ -7,15 +7,9 @@ import pandas as pd
 import pytest
 from helpers import SIMPLE_WORLD, no_compiler
 from oracles import flat
-from soak import run_on
 
 import rhec
 from rhec import paper
-from rhec.core import runner
-from rhec.core._casadi import compiled
-from rhec.simulation import closed_loop
-from rhec.simulation import columns as log_columns
-from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
@@ -33,31 +27,6 @@ def assert_equal_logs(one, other, atol=0.0):
 
 
 # Live and fused
-
-
-def test_a_run_can_be_cut_anywhere(run):
-    made = closed_loop.set_up(MINUTE)
-    functions, noise = (
-        compiled.load(closed_loop.build_sample, *made.structure),
-        robot.draw_noise(MINUTE.seed, 300),
-    )
-    memory, rows = made.memory, []
-    for part in np.split(noise, [1, 16, 37, 200]):
-        memory, more = run_on(functions["step"], memory, part, made.settings)
-        rows.append(more)
-    whole = runner.run_one(functions, made.memory, noise, made.settings)
-    np.testing.assert_allclose(np.vstack(rows), whole, rtol=0, atol=1e-12)
-    columns = [
-        column
-        for column in log_columns.COLUMNS
-        if column in run.log and column not in log_columns.FLAGS
-    ]
-    np.testing.assert_allclose(
-        pd.DataFrame(whole, columns=log_columns.COLUMNS)[columns],
-        run.log[columns],
-        rtol=0,
-        atol=1e-12,
-    )
 
 
 # Seeds and noise

@@ -152,13 +152,6 @@ def test_points_are_one_sample_of_the_robots_own_pace_apart():
         np.testing.assert_allclose(points.T, expected, atol=1e-9)
 
 
-def test_the_look_ahead_moves_all_points_on_by_that_distance():
-    points = along(PATHS["open"], 5.5, look_ahead_m=1.3)["xi_ref"]
-    np.testing.assert_allclose(
-        points.T, PATHS["open"].poses(6.8 + 0.09 * np.arange(HORIZON + 1))[0], atol=1e-9
-    )
-
-
 @pytest.mark.parametrize("turns", [-7, 0, 30])
 def test_the_yaw_reference_is_in_the_turn_of_the_estimate(turns):
     for s, off in itertools.product((3.0, 40.0, 70.0, 100.0), (-3.0, 0.0, 1.0, 3.0)):

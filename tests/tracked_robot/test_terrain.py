@@ -142,16 +142,6 @@ def test_between_the_points_it_is_bilinear_and_beyond_them_constant():
         )
 
 
-def test_uniform_is_the_same_everywhere():
-    made = rhec.Terrain.uniform(0.7, 0.6)
-    for xy in ((0, 0), (0.5, 0.2), (-100, 40)):
-        np.testing.assert_allclose(
-            flat(terrain.lookup(made.mu.shape)(xy, made.origin_m, made.cell_m, terrain.flat(made))),
-            (0.7, 0.6),
-            atol=1e-15,
-        )
-
-
 @pytest.mark.parametrize(
     "mu, kappa, sentence",
     [
