@@ -147,8 +147,7 @@ NIGHTLY = [(name, form) for name in ("rhe", "own") for form in (as_in_use, on_ar
 
 def forms_of(loop):
     """The forms that a loop has: not all are exported, and live objects are those of the paper."""
-    without = {name for name in ("live", "in_c") if name in loop.without}
-    return [form for form in FORMS if form.__name__ not in without]
+    return [form for form in FORMS if form.__name__ not in loop.without]
 
 
 def loops_and_forms():
