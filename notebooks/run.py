@@ -1,6 +1,7 @@
 """Strict parameters for notebooks, and a runner on top of papermill.
 
 python -m notebooks.run notebooks/03_scenario_a.ipynb -p seed 7
+python -m notebooks.run notebooks/03_scenario_a.ipynb --help
 """
 
 import argparse
@@ -147,11 +148,10 @@ def run(notebook, values, output):
     import nbformat
     import papermill
 
+    from notebooks.parameter_table import parameters_of
+
     # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
-    # (`papermill.inspect_notebook` finds no parameter whose annotation has parentheses or quotes.)
-    cells = nbformat.read(notebook, 4).cells
-    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
-    declared = [name for cell in tagged for name in _declared(cell.source)]
+    declared = [parameter.name for parameter in parameters_of(notebook)]
     for name in values.keys() - declared:
         raise _no_such_parameter(name, values[name], declared)
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
@@ -207,11 +207,17 @@ def _environment(notebook, values, output):
 def main():
     """Run a notebook from the command line."""
     parser, args = _arguments()
+    if args.notebook is None:
+        parser.print_help()
+        return
     notebook = next(
         (p.resolve() for p in (args.notebook, ROOT / args.notebook) if p.is_file()), None
     )
     if notebook is None or notebook.suffix != ".ipynb":
         parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
+    if args.help:
+        print(_help_of(notebook, parser))
+        return
     for name, _ in args.p:
         if not name.isidentifier() or keyword.iskeyword(name):
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
@@ -249,16 +255,33 @@ def _arguments():
     """The parser and the arguments of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m notebooks.run",
-        description="Run a notebook, such as notebooks/03_scenario_a.ipynb.",
+        description="Run a notebook, such as notebooks/03_scenario_a.ipynb, with papermill.",
+        epilog="With --help, NOTEBOOK shows its parameters.",
+        add_help=False,
     )
     value = "a parameter and its value: a number, a word or a list such as [1,2]"
     output = "the executed notebook, by default in build/notebooks"
-    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path)
+    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path, nargs="?")
     parser.add_argument(
         "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
     parser.add_argument("--output", type=Path, help=output)
+    parser.add_argument("-h", "--help", action="store_true", help="show this help")
     return parser, parser.parse_args()
+
+
+def _help_of(notebook, parser):
+    """The help with the parameters of a notebook, and an example that sets the first of them."""
+    from notebooks.parameter_table import as_text, parameters_of
+
+    parameters = parameters_of(notebook)
+    parser.epilog = None
+    lines = [parser.format_help(), f"parameters of {notebook.stem}:", as_text(parameters)]
+    if parameters:
+        first = parameters[0]
+        path = os.path.relpath(notebook)
+        lines += ["", f"example: {parser.prog} {path} -p {first.name} {first.default}"]
+    return "\n".join(lines)
 
 
 def _output(notebook, values):

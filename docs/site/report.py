@@ -6,7 +6,7 @@ Sphinx and MyST-NB build it without network.
 
 `docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. This module copies the sources
 to a folder with the structure of the repository, which preserves links, and writes the pages
-"figures", "claims" and "provenance" as Markdown.
+"figures", "claims", "parameters" and "provenance" as Markdown.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from sphinx.application import Sphinx
 from docs.live import page, wasm
 from docs.site import cards
 from docs.site.content_policy import with_policy
+from notebooks.parameter_table import parameters_of
 from notebooks.plots.claims import kind_of
 from notebooks.studies import answer, timing
 from rhec import __version__, style
@@ -101,6 +102,7 @@ def _lay_out(source, notebooks, figures, live):
     pages = {
         "figures": _figures_page(stories, captions, source / "figures"),
         "claims": cards.page(pd.read_csv(ledger), live),
+        "parameters": _parameters_page(stories),
         "provenance": _provenance_page(stories, source / "figures"),
     }
     for name, text in pages.items():
@@ -182,8 +184,9 @@ def _figures_page(stories, captions, folder):
     of_paper = sorted(figure for figure in figures if re.match(r"fig\d", figure[0]))
     groups = {"The paper": of_paper}
     for place, notebook in stories.items():
-        title = re.search(r"(?m)^# (.*)$", notebook.cells[0].source)[1]
-        groups[title] = [each for each in figures if each[1] == place and each not in of_paper]
+        groups[_title(notebook)] = [
+            each for each in figures if each[1] == place and each not in of_paper
+        ]
     text = "---\nhide-toc: true\n---\n\n# Figures\n\n"
     text += "Each file carries the scenario and the notebook that made it.\n"
     for title, group in groups.items():
@@ -205,6 +208,34 @@ def _figure(name, place, caption):
 
 def _download(name, kind):
     return f"`{name}`: {{download}}`{kind} <figures/{name}.{kind}>`"
+
+
+_RUN = """# Notebooks with other parameters
+
+Every notebook runs with other parameters by [papermill](https://papermill.readthedocs.io), which
+writes the executed notebook and leaves the original as it is:
+
+    .venv/bin/python -m notebooks.run notebooks/03_scenario_a.ipynb -p world soft -p seeds 50
+
+The result is `build/notebooks/03_scenario_a-custom.ipynb`, with its figures and tables in the
+folder of that name beside it. `--output` names another place. A value that a parameter cannot take
+is refused in one sentence before anything runs. `--help` after a notebook shows its parameters in
+the terminal. In JupyterLab, edit the first cell of code and run all cells."""
+
+
+def _parameters_page(stories):
+    """How to run notebooks with other parameters, and what these are."""
+    parts = [_RUN]
+    for place, notebook in stories.items():
+        table = pd.DataFrame(parameters_of(ROOT / place)).assign(
+            name=lambda rows: "`" + rows["name"] + "`"
+        )
+        parts += [f"## [{_title(notebook)}]({place})", answer.to_markdown(table)]
+    return "\n\n".join(parts)
+
+
+def _title(notebook):
+    return re.search(r"(?m)^# (.*)$", notebook.cells[0].source)[1]
 
 
 def _provenance_page(stories, figures):
