@@ -37,6 +37,7 @@ _YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 PURPLE = "#CC79A7"
+SOIL = "#784614"  # where it slips; white where it holds
 COLOURS = {
     "reference": GREY,
     "truth": BLACK,
@@ -44,6 +45,7 @@ COLOURS = {
     "RHE": BLUE,
     "EKF": VERMILLION,
     "oracle": GREEN,
+    "soil": SOIL,
     "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
