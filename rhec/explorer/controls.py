@@ -137,7 +137,7 @@ GROUPS = {
         _slider("mu_deviation", "μ deviation", 0, 0.3, 0.01),
         _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
         _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
-        _slider("correlation_length_m", "correlation length", 0.5, 20, 0.5),
+        _slider("correlation_length_m", "correlation", 0.5, 20, 0.5),
         _selection("soil_under", "soil below", _SOIL_UNDER),
         _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
     ),
