@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
-# Dots per inch of a figure in JupyterLab: a column of the paper, 3.4 in, is 900 pixels wide.
+# Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
 _DPI = 265
 
 
@@ -57,7 +57,7 @@ def real(lowest, highest):
 
 
 def parameters(namespace):
-    """Check a notebook's parameters, and make its figures large in JupyterLab.
+    """Check a notebook's parameters, and make its figures large.
 
     The cell tagged `parameters` declares each of them as `name: type = default  # [unit] meaning`.
     The type is `int`, `float`, `bool`, `str`, `whole(1, 9)`, `real(0, 1)`, a `Literal` or a
@@ -85,10 +85,10 @@ def parameters(namespace):
     except ValueError as error:
         raise ParameterError(str(error)) from None
     namespace[_CHECKED] = parameters
-    # The report shows them at the size of the paper.
-    if "get_ipython" in namespace and "RHEC_UNATTENDED" not in os.environ:
+    if "get_ipython" in namespace:
         from matplotlib_inline.backend_inline import set_matplotlib_formats
 
+        # With tight boxes it would draw each figure twice.
         set_matplotlib_formats("png", dpi=_DPI, bbox_inches=None)
 
 
@@ -169,8 +169,6 @@ def run(notebook, values, output):
             progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
-                "--InlineBackend.figure_formats=retina",  # sharp in the report
-                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
                 # Without it, a tenth of the time to draw goes into looking for garbage.
                 "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
             ],

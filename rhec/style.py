@@ -61,9 +61,9 @@ RC = {
     "axes.titlesize": 8,
     "axes.titlelocation": "left",
     "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
     "legend.frameon": False,
     # As text, so that the colours can be imported without Matplotlib.
     "axes.prop_cycle": f"cycler(color={[BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, BLACK]})",
