@@ -14,7 +14,7 @@ project = "rhec"
 release = rhec.__version__
 copyright = "the rhec authors, MIT licence"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
-exclude_patterns = ["README.md", "figures"]  # README is a part of the first page
+exclude_patterns = ["figures"]
 templates_path = [str(Path(__file__).parent / "_templates")]
 
 html_theme = "furo"

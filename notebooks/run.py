@@ -1,6 +1,7 @@
 """Strict parameters for notebooks, and a runner on top of papermill.
 
 python -m notebooks.run notebooks/03_scenario_a.ipynb -p seed 7
+python -m notebooks.run notebooks/03_scenario_a.ipynb --help
 """
 
 import argparse
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
-# Dots per inch of a figure in JupyterLab: a column of the paper, 3.4 in, is 900 pixels wide.
+# Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
 _DPI = 265
 
 
@@ -56,7 +57,7 @@ def real(lowest, highest):
 
 
 def parameters(namespace):
-    """Check a notebook's parameters, and make its figures large in JupyterLab.
+    """Check a notebook's parameters, and make its figures large.
 
     The cell tagged `parameters` declares each of them as `name: type = default  # [unit] meaning`.
     The type is `int`, `float`, `bool`, `str`, `whole(1, 9)`, `real(0, 1)`, a `Literal` or a
@@ -84,10 +85,10 @@ def parameters(namespace):
     except ValueError as error:
         raise ParameterError(str(error)) from None
     namespace[_CHECKED] = parameters
-    # The report shows them at the size of the paper.
-    if "get_ipython" in namespace and "RHEC_UNATTENDED" not in os.environ:
+    if "get_ipython" in namespace:
         from matplotlib_inline.backend_inline import set_matplotlib_formats
 
+        # With tight boxes it would draw each figure twice.
         set_matplotlib_formats("png", dpi=_DPI, bbox_inches=None)
 
 
@@ -147,11 +148,10 @@ def run(notebook, values, output):
     import nbformat
     import papermill
 
+    from notebooks.parameter_table import parameters_of
+
     # A name that the notebook itself uses (rhec) would be overwritten before it is checked.
-    # (`papermill.inspect_notebook` finds no parameter whose annotation has parentheses or quotes.)
-    cells = nbformat.read(notebook, 4).cells
-    tagged = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
-    declared = [name for cell in tagged for name in _declared(cell.source)]
+    declared = [parameter.name for parameter in parameters_of(notebook)]
     for name in values.keys() - declared:
         raise _no_such_parameter(name, values[name], declared)
     logging.getLogger("papermill").setLevel(logging.ERROR)  # `parameters` refuses unknown names
@@ -169,8 +169,6 @@ def run(notebook, values, output):
             progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
-                "--InlineBackend.figure_formats=retina",  # sharp in the report
-                "--InlineBackend.print_figure_kwargs={'bbox_inches': None}",  # else it draws twice
                 # Without it, a tenth of the time to draw goes into looking for garbage.
                 "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
             ],
@@ -207,11 +205,17 @@ def _environment(notebook, values, output):
 def main():
     """Run a notebook from the command line."""
     parser, args = _arguments()
+    if args.notebook is None:
+        parser.print_help()
+        return
     notebook = next(
         (p.resolve() for p in (args.notebook, ROOT / args.notebook) if p.is_file()), None
     )
     if notebook is None or notebook.suffix != ".ipynb":
         parser.exit(2, f"NOTEBOOK was {args.notebook}; it must be an existing .ipynb file\n")
+    if args.help:
+        print(_help_of(notebook, parser))
+        return
     for name, _ in args.p:
         if not name.isidentifier() or keyword.iskeyword(name):
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
@@ -249,16 +253,33 @@ def _arguments():
     """The parser and the arguments of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m notebooks.run",
-        description="Run a notebook, such as notebooks/03_scenario_a.ipynb.",
+        description="Run a notebook, such as notebooks/03_scenario_a.ipynb, with papermill.",
+        epilog="With --help, NOTEBOOK shows its parameters.",
+        add_help=False,
     )
     value = "a parameter and its value: a number, a word or a list such as [1,2]"
     output = "the executed notebook, by default in build/notebooks"
-    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path)
+    parser.add_argument("notebook", metavar="NOTEBOOK", type=Path, nargs="?")
     parser.add_argument(
         "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
     parser.add_argument("--output", type=Path, help=output)
+    parser.add_argument("-h", "--help", action="store_true", help="show this help")
     return parser, parser.parse_args()
+
+
+def _help_of(notebook, parser):
+    """The help with the parameters of a notebook, and an example that sets the first of them."""
+    from notebooks.parameter_table import as_text, parameters_of
+
+    parameters = parameters_of(notebook)
+    parser.epilog = None
+    lines = [parser.format_help(), f"parameters of {notebook.stem}:", as_text(parameters)]
+    if parameters:
+        first = parameters[0]
+        path = os.path.relpath(notebook)
+        lines += ["", f"example: {parser.prog} {path} -p {first.name} {first.default}"]
+    return "\n".join(lines)
 
 
 def _output(notebook, values):

@@ -37,6 +37,7 @@ _YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 PURPLE = "#CC79A7"
+SOIL = "#784614"  # where it slips; white where it holds
 COLOURS = {
     "reference": GREY,
     "truth": BLACK,
@@ -44,6 +45,7 @@ COLOURS = {
     "RHE": BLUE,
     "EKF": VERMILLION,
     "oracle": GREEN,
+    "soil": SOIL,
     "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
@@ -59,9 +61,9 @@ RC = {
     "axes.titlesize": 8,
     "axes.titlelocation": "left",
     "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
     "legend.frameon": False,
     # As text, so that the colours can be imported without Matplotlib.
     "axes.prop_cycle": f"cycler(color={[BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, BLACK]})",

@@ -19,10 +19,12 @@
     form.querySelector("output").textContent = `${count} of ${cards.length} claims`
   }
 
-  // A link to a card that the filter hides shows it.
+  // A link to a card unfolds it, and shows it if the filter hides it.
   function follow() {
     const card = document.getElementById(decodeURIComponent(location.hash.slice(1)))
-    if (!card?.closest("[hidden]")) return
+    if (!cards.includes(card)) return
+    card.firstElementChild.open = true
+    if (!card.closest("[hidden]")) return
     form.reset()
     show()
     card.scrollIntoView()
@@ -31,9 +33,15 @@
   form.addEventListener("input", show)
   form.addEventListener("reset", () => setTimeout(show))
   form.addEventListener("submit", event => event.preventDefault())
+  form.elements.unfold.onclick = () => {
+    const folded = cards.some(card => !card.hidden && !card.firstElementChild.open)
+    for (const card of cards) if (!card.hidden) card.firstElementChild.open = folded
+    form.elements.unfold.textContent = folded ? "Fold" : "Unfold"
+  }
   addEventListener("hashchange", follow)
   form.hidden = false
   // The bar of verdicts on the first page leads here with the one that was clicked.
   form.elements.verdict.value = new URLSearchParams(location.search).get("verdict") ?? ""
   show()
+  follow()
 }

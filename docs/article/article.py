@@ -28,6 +28,9 @@ def tables():
     return dict(
         summary=answer.paper_beside_ours(),
         weights=_weights(),
+        scenario_a=_scenario_a(),
+        times=_times(),
+        ledger=_ledger(),
         verdicts=_verdicts(),
         statements=_statements(),
         worth=_worth(),
@@ -45,6 +48,34 @@ def _weights():
     rows = pd.read_csv(answer.RESULTS / "table_scenario_a.csv").dropna(subset="verdict")
     names = rows["weight"] + ", " + rows["quantity"]
     return pd.DataFrame({"ratio": names, "here": interval_texts(rows), "verdict": rows["verdict"]})
+
+
+def _scenario_a():
+    """Means of Scenario A for each weight."""
+    rows = pd.read_csv(answer.RESULTS / "table_scenario_a.csv")
+    rows = rows[rows["weight"].isin(["Q1", "Q2", "Q3"])]
+    cells = rows.assign(text=interval_texts(rows))
+    quantities = rows["quantity"].unique()
+    shown = cells.pivot(index="quantity", columns="weight", values="text").loc[quantities]
+    return shown.reset_index()
+
+
+def _times():
+    """Table 1 of the paper, in its milliseconds."""
+    rows = {
+        f"{problem}, {phase}": dict(zip(("minimum", "average", "maximum"), map(str, times)))
+        for (problem, phase), times in paper.TABLE_1_MS.items()
+    }
+    return pd.DataFrame(rows).T.rename_axis("phase [ms]").reset_index()
+
+
+def _ledger():
+    """Every claim with its number and its verdict."""
+    claims = pd.read_csv(answer.RESULTS / "claims.csv")
+    unit = claims["unit"].where(~claims["unit"].isin(["-", "ratio"]), "").fillna("")
+    here = (interval_texts(claims, "value") + " " + unit).str.strip()
+    columns = dict(id=claims["id"], sentence=claims["claim"], here=here.fillna(""))
+    return pd.DataFrame(columns | dict(verdict=claims["verdict"]))
 
 
 def _statements():

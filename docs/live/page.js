@@ -157,7 +157,11 @@ function choose(id, words = []) { // a scene as it begins, but for the words of 
   for (const section of document.querySelectorAll("[data-scene]"))
     section.hidden = section.dataset.scene !== id;
   $("controls").scene.value = id;
-  $("controls")[`run-${id}`].value = "0";
+  const followed = $("controls")[`run-${id}`];
+  followed.value = "0";
+  followed.forEach((input, i) => {
+    input.parentElement.style.color = `var(${colour_of(i)})`;
+  });
   $("faulty").hidden = id !== "faults";
   $("fault").value = scene.fault;
   $("moment").value = (scene.time_s + 0.1) / values.duration_s;

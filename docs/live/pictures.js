@@ -110,7 +110,7 @@ function draw_over_time(id, [low, high], now, draw_loop) {
   const { loops, world: { dt_s, shaded } } = page;
   const time = k => k * dt_s;
   const end_s = time(loops[0].samples);
-  const plot = new Plot($(id), [0, end_s], [low, high]);
+  const plot = new Plot($(id), [0, end_s], [low, high], { across: "t [s]" });
   if (loops.some(({ data }) => data.faulty)) {
     for (const [from, to] of shaded[$("fault").value]) {
       const across = [from, Math.min(to, end_s)];
@@ -134,8 +134,18 @@ function draw_error(now) {
   plot.limit(world.tolerance_m);
 }
 
+function lowest_of(loop, name) {
+  const value = loop.get(name);
+  let lowest = 1;
+  for (let k = 0; k < loop.samples; k++) lowest = Math.min(lowest, value(k));
+  return lowest;
+}
+
 function draw_traction(name, now) {
-  draw_over_time(name, [0, 1.08], now, (plot, loop, colour, time) => {
+  const least = Math.min(...page.loops.flatMap(loop =>
+    [name, `${name}_hat`].map(each => lowest_of(loop, each))));
+  const low = [0.8, 0.6, 0.4, 0.2].find(floor => floor < least) ?? 0;
+  draw_over_time(name, [low, 1.02], now, (plot, loop, colour, time) => {
     const sigma = loop.sigma(name);
     const estimate = loop.get(`${name}_hat`);
     if (sigma) plot.band(loop.samples, time, estimate, k => 2 * sigma(k), colour);

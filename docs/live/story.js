@@ -43,7 +43,7 @@ const rms = list => Math.sqrt(list.reduce((sum, value) => sum + value ** 2, 0) /
 const over_time = (step, i, up, draw, now) => {
   const { loop } = step;
   const end_s = loop.samples * page.world.dt_s;
-  const plot = new Plot(step.canvases[i], [0, end_s], up);
+  const plot = new Plot(step.canvases[i], [0, end_s], up, { across: "t [s]" });
   draw(plot, k => k * page.world.dt_s);
   if (now !== undefined) plot.line(2, () => now, j => up[j], "--soft", { width: 1 });
   return plot;

@@ -27,8 +27,8 @@ LIVE = {
 _INTRODUCTION = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and
 *does not hold* if none of it does; otherwise it is undecided ([how claims are
 judged](docs/claims.md)). Where the verdict names a departure, the text as printed gives the other.
-A verdict *by derivation* follows from equations or from the paper's own numbers. The command on a
-card judges its claim again."""
+A verdict *by derivation* follows from equations or from the paper's own numbers. A click on a
+card shows the paper's words, the rule, the reason and the command that judges the claim again."""
 _TEMPLATE = Path(__file__).with_name("cards.html.j2")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.
@@ -58,7 +58,7 @@ def page(claims, live=False):
     }
     kinds = [(kind, *LOOKS[kind], (claims["kind"] == kind).sum()) for kind in LOOKS]
     overview = _raw(template.overview(sections, [each for each in kinds if each[3]]))
-    parts = ["# Verdicts on the paper", _INTRODUCTION, counts, overview]
+    parts = ["# Verdicts on the paper", counts, _INTRODUCTION, overview]
     parts += [f"## {section}\n\n{_raw(template.cards(all_))}" for section, all_ in sections.items()]
     return "---\nhide-toc: true\n---\n\n" + "\n\n".join(parts) + "\n"
 

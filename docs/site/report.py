@@ -6,10 +6,11 @@ Sphinx and MyST-NB build it without network.
 
 `docs/conf.py` configures Sphinx, `docs/index.md` orders the pages. This module copies the sources
 to a folder with the structure of the repository, which preserves links, and writes the pages
-"figures", "claims" and "provenance" as Markdown.
+"figures", "claims", "parameters" and "provenance" as Markdown.
 """
 
 import argparse
+import html
 import importlib.metadata
 import platform
 import re
@@ -23,11 +24,14 @@ from urllib.parse import quote
 import nbformat
 import pandas as pd
 from nbformat.v4 import new_output
+from PIL import Image
 from sphinx.application import Sphinx
 
 from docs.live import page, wasm
 from docs.site import cards
 from docs.site.content_policy import with_policy
+from notebooks.claims.rules import CLAIMS
+from notebooks.parameter_table import parameters_of
 from notebooks.plots.claims import kind_of
 from notebooks.studies import answer, timing
 from rhec import __version__, style
@@ -39,8 +43,11 @@ REPORT = ROOT / "build/report"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _NO_SLIDERS = "*Here are sliders when this notebook runs in JupyterLab:* `.venv/bin/rhec lab`"
+_WIDTH_PX = 900  # of the pictures in notebooks
 # Packages whose scripts and styles the pages hold.
 SHOWN = ("furo", "Sphinx", "myst-nb", "Pygments")
+# Beginnings of the names of the paper's tables, in its order.
+_PAPERS_TABLES = ("table1", "table_scenario_a", "table_scenario_b", "claims")
 # Names of what a cell saves: `style.save(figure, "fig08_errors")`.
 _SAVED = re.compile(r'\bsave(?:_table)?\([^,]+,\s*"(\w+)"')
 
@@ -66,12 +73,23 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         tags = ["live"] if live else []
         doctrees = Path(folder) / "doctrees"
         Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
+        for file in (site / "_images").glob("*.png"):
+            _shrink(file)
         for file in site.rglob("*.html"):
             file.write_text(with_policy(file.read_text(encoding="utf-8")), encoding="utf-8")
         if live:
             page.write(site)
         shutil.rmtree(report, ignore_errors=True)
         site.rename(report)
+
+
+def _shrink(png):
+    """Leave a picture 256 colours, which takes a third of the bytes; the PDFs have all."""
+    with Image.open(png) as picture:
+        # Over white, as on paper: a palette with transparency has few opaque colours.
+        paper = Image.new("RGBA", picture.size, "white")
+        paper.alpha_composite(picture.convert("RGBA"))
+        paper.convert("RGB").quantize(256).save(png, optimize=True)
 
 
 def _lay_out(source, notebooks, figures, live):
@@ -92,7 +110,10 @@ def _lay_out(source, notebooks, figures, live):
     captions = {}
     for place, notebook in stories.items():
         captions[place] = _copy_saved(notebook, figures, source / "figures")
+        root = "../" * len(place.parent.parts)
         _prepare(notebook)
+        _show_saved(notebook, source / "figures", root)
+        _link_claims(notebook, root)
         (source / place).parent.mkdir(parents=True, exist_ok=True)
         nbformat.write(notebook, source / place)
     ledger = figures / "claims.csv"
@@ -101,6 +122,7 @@ def _lay_out(source, notebooks, figures, live):
     pages = {
         "figures": _figures_page(stories, captions, source / "figures"),
         "claims": cards.page(pd.read_csv(ledger), live),
+        "parameters": _parameters_page(stories),
         "provenance": _provenance_page(stories, source / "figures"),
     }
     for name, text in pages.items():
@@ -130,8 +152,16 @@ def _copy_saved(notebook, figures, folder):
             for file in figures.glob(f"{name}.*"):
                 shutil.copy(file, folder)
             if (folder / f"{name}.png").exists():
-                captions[name] = caption
+                captions[name] = _numbered(name, caption)
     return captions
+
+
+def _numbered(name, caption):
+    """A caption that begins with the figure's number, if the paper has such a figure."""
+    number = re.match(r"fig(\d\d)_", name)
+    if number is None or caption.startswith("**Figure"):
+        return caption
+    return f"**Figure {int(number[1])}.** {caption}"
 
 
 def _prepare(notebook):
@@ -140,24 +170,49 @@ def _prepare(notebook):
     folded = notebook.metadata.get("rhec", {}).get("code") != "open"
     for cell, caption in _with_captions(notebook):
         cell.outputs = [_without_widget(output) for output in cell.outputs]
-        image = dict(alt=_plain(caption)[:250])
-        for output in cell.outputs:
-            if "image/png" in output.get("metadata", {}):
-                image["width"] = f"{output.metadata['image/png']['width']}px"
-        cell.metadata["mystnb"] = dict(image=image)
+        cell.metadata["mystnb"] = dict(
+            image=dict(alt=_plain(caption)[:250], width=f"{_WIDTH_PX}px")
+        )
         if folded:
             cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
 
 
+def _show_saved(notebook, folder, root):
+    """Show a figure that its cell saved from the file, so that the site has it once."""
+    for cell, caption in _with_captions(notebook):
+        saved = [name for name in _SAVED.findall(cell.source) if (folder / f"{name}.png").exists()]
+        drawn = [output for output in cell.outputs if "image/png" in output.get("data", {})]
+        if len(saved) == len(drawn) == 1:
+            alt = html.escape(_plain(caption)[:250])
+            image = f'<img src="{root}figures/{saved[0]}.png" alt="{alt}" width="{_WIDTH_PX}">'
+            drawn[0].data = {"text/markdown": image}
+
+
+def _link_claims(notebook, root):
+    """Let the ids of claims in tables lead to their cards; root: from the page to the site."""
+    link = rf'\1<a href="{root}claims.html#\2">\2</a>'
+    for cell in notebook.cells:
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "text/html" in data:
+                is_id = rf"(<t[hd][^>]*>)({'|'.join(CLAIMS)})(?=</t[hd]>)"
+                data["text/html"] = re.sub(is_id, link, data["text/html"])
+
+
 def _with_captions(notebook):
-    """The cells of code, each with the last paragraph of the text above it."""
+    """The cells of code, each with the caption above it.
+
+    That is the last paragraph that begins with "Figure", else the last one.
+    """
     caption = ""
     for cell in notebook.cells:
         if cell.cell_type == "code":
             yield cell, caption
         else:
             prose = re.sub(r"(?m)^#.*$", "", cell.source).strip()
-            caption = prose.split("\n\n")[-1]
+            paragraphs = prose.split("\n\n")
+            figures = [each for each in paragraphs if each.startswith("**Figure")]
+            caption = (figures or paragraphs)[-1]
 
 
 def _without_widget(output):
@@ -182,29 +237,76 @@ def _figures_page(stories, captions, folder):
     of_paper = sorted(figure for figure in figures if re.match(r"fig\d", figure[0]))
     groups = {"The paper": of_paper}
     for place, notebook in stories.items():
-        title = re.search(r"(?m)^# (.*)$", notebook.cells[0].source)[1]
-        groups[title] = [each for each in figures if each[1] == place and each not in of_paper]
+        groups[_title(notebook)] = [
+            each for each in figures if each[1] == place and each not in of_paper
+        ]
     text = "---\nhide-toc: true\n---\n\n# Figures\n\n"
     text += "Each file carries the scenario and the notebook that made it.\n"
     for title, group in groups.items():
         if group:
-            gallery = "\n".join(_figure(*each, captions[each[1]][each[0]]) for each in group)
+            gallery = "\n".join(
+                _figure(folder / f"{name}.png", place, captions[place][name])
+                for name, place in group
+            )
             text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
-    tables = [f"- {_download(file.stem, 'csv')}" for file in sorted(folder.glob("*.csv"))]
+    names = sorted((file.stem for file in folder.glob("*.csv")), key=_order_of_table)
+    tables = [f"- {_download(name, 'csv')}" for name in names]
     return "\n".join([text, "## Tables with all digits\n", *tables, ""])
 
 
-def _figure(name, place, caption):
-    """A figure with its caption and links, as Markdown."""
+def _order_of_table(name):
+    """The tables that the paper has come first, in its order."""
+    first = [each for each in _PAPERS_TABLES if name.startswith(each)]
+    return _PAPERS_TABLES.index(*first) if first else len(_PAPERS_TABLES), name
+
+
+def _figure(file, place, caption):
+    """A figure with its caption and links, as Markdown; a wide one takes the page's width."""
+    wide = ":figclass: wide\n" if _is_wide(file) else ""
+    name = file.stem
     return (
-        f":::{{figure}} figures/{name}.png\n:name: {name}\n:loading: lazy\n"
+        f":::{{figure}} figures/{name}.png\n:name: {name}\n:loading: lazy\n{wide}"
         f":target: {place.with_suffix('.html')}\n:alt: {_plain(caption)[:250] or name}\n\n"
         f"{_without_links(caption) or name}\n\n{_download(name, 'pdf')}\n:::"
     )
 
 
+def _is_wide(png):
+    """Whether a figure is wider than a column of the paper."""
+    with Image.open(png) as picture:
+        return picture.width > style.COLUMN_IN * style.RC["savefig.dpi"] + 1
+
+
 def _download(name, kind):
     return f"`{name}`: {{download}}`{kind} <figures/{name}.{kind}>`"
+
+
+_RUN = """# Notebooks with other parameters
+
+Every notebook runs with other parameters by [papermill](https://papermill.readthedocs.io), which
+writes the executed notebook and leaves the original as it is:
+
+    .venv/bin/python -m notebooks.run notebooks/03_scenario_a.ipynb -p world soft -p seeds 50
+
+The result is `build/notebooks/03_scenario_a-custom.ipynb`, with its figures and tables in the
+folder of that name beside it. `--output` names another place. A value that a parameter cannot take
+is refused in one sentence before anything runs. `--help` after a notebook shows its parameters in
+the terminal. In JupyterLab, edit the first cell of code and run all cells."""
+
+
+def _parameters_page(stories):
+    """How to run notebooks with other parameters, and what these are."""
+    parts = [_RUN]
+    for place, notebook in stories.items():
+        table = pd.DataFrame(parameters_of(ROOT / place)).assign(
+            name=lambda rows: "`" + rows["name"] + "`"
+        )
+        parts += [f"## [{_title(notebook)}]({place})", answer.to_markdown(table)]
+    return "\n\n".join(parts)
+
+
+def _title(notebook):
+    return re.search(r"(?m)^# (.*)$", notebook.cells[0].source)[1]
 
 
 def _provenance_page(stories, figures):

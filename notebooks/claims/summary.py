@@ -26,6 +26,7 @@ __all__ = [
     "depending",
     "failing",
     "in_worlds",
+    "left_aligned",
     "listed",
     "lost",
     "readable_ledger",
@@ -86,11 +87,15 @@ def survivors(table):
 
 # Parts of the ledger for readers
 
-_ALL = ["section", "claim", "quote", "test", "bound", "paper", "value", "n", "unit", "verdict"]
-_ALL += ["conditions", "posterior", "beside", "p_adjusted", "why"]
+
+def left_aligned(table):
+    """A table whose texts and heads begin at the left of their cells, as a pandas Styler."""
+    heads = {"selector": "th", "props": "text-align: left"}
+    shown = table.style.format(precision=4).set_properties(**{"text-align": "left"})
+    return shown.set_table_styles([heads])
 
 
-def readable_ledger(table, columns=_ALL):
+def readable_ledger(table, columns=("claim", "verdict", "value", "unit")):
     """Columns of the ledger, with values and shares of worlds as "34.6 [32.3, 37.0]", by id."""
     shown = table.assign(
         value=interval_texts(table, "value"),

@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from notebooks.plots.parts import BOUND
+from notebooks.plots.parts import BOUND, in_words
 from rhec.core.controller.bounds import Bound
 from rhec.style import COLOURS, DOUBLE_IN, styled
 
@@ -20,16 +20,16 @@ def controlled(problem, drive, states=None, time="time [s]"):
     bounds = problem.options["bounds"]
     for name, values in zip(model.states, drive.x.T):
         if states is None or name in states:
-            above.plot(times, values, label=name)
+            above.plot(times, values, label=in_words(name))
         for bound in _limits(bounds.get(name)) if states and name in states else ():
             above.axhline(bound, **BOUND)
     for name, commands in zip(model.inputs, drive.u.T):
-        below.step(times[:-1], commands, where="post", label=name)
+        below.step(times[:-1], commands, where="post", label=in_words(name))
         for bound in _limits(bounds.get(name)):
             below.axhline(bound, **BOUND)
     for axes, title in ((above, "states"), (below, "commands")):
         axes.set(xlabel=time, title=title)
-        axes.legend(fontsize="x-small")
+        axes.legend()
     return figure
 
 
@@ -64,16 +64,16 @@ def estimated(problem, record, state=0):
     figure, (above, below) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.0))
     above.plot(time_s, record.x[:, state], color=COLOURS["truth"], label="truth")
     above.plot(time_s, record.x_hat[:, state], "--", color=COLOURS["RHE"], label="RHE")
-    above.set(xlabel="time [s]", title=model.states[state])
-    above.legend(fontsize="x-small")
+    above.set(xlabel="time [s]", title=in_words(model.states[state]))
+    above.legend()
     if model.parameters:
         shown = record.p_hat[:, 0]
         wanted = problem.p[0]
-        (title,) = model.parameters
+        (title,) = map(in_words, model.parameters)
     else:
         shown = (record.x_hat - record.x)[:, state]
         wanted = 0.0
-        title = f"error of {model.states[state]}"
+        title = f"error of {in_words(model.states[state])}"
     below.axhline(wanted, color=COLOURS["truth"], linewidth=0.6)
     below.plot(time_s, shown, color=COLOURS["RHE"])
     below.set(xlabel="time [s]", title=title)

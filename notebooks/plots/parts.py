@@ -9,6 +9,19 @@ from rhec.style import BLACK, COLOURS, DOUBLE_IN
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
+_UNITS = {
+    "C": "°C",
+    "MJ_h": "MJ/h",
+    "N": "N",
+    "Nm": "N m",
+    "m": "m",
+    "mol_l": "mol/l",
+    "mps": "m/s",
+    "per_min": "1/min",
+    "rad": "rad",
+    "radps": "rad/s",
+}
+_GREEK = {"theta": "θ", "phi": "φ", "w": "ω"}
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
 
@@ -22,6 +35,20 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
 def noise_text(process_noise):
     """The process noise W of a drive, for a title."""
     return {"likelihood": "W by likelihood"}.get(process_noise, f"W {process_noise}")
+
+
+def in_words(name):
+    """The name of a signal as people write it: "theta_rad" is "θ [rad]"."""
+    words = name.split("_")
+    for length in (2, 1):  # as in "mol_l", then as in "rad"
+        unit = _UNITS.get("_".join(words[-length:]))
+        if unit and words[:-length]:
+            return f"{_spoken(words[:-length])} [{unit}]"
+    return _spoken(words)
+
+
+def _spoken(words):
+    return " ".join(_GREEK.get(word, word) for word in words)
 
 
 def seed_range(sweep):

@@ -16,8 +16,7 @@ from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
 from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
 
-# Dark where the soil slips; grey, so that coloured trajectories stand out.
-_TRACTION = LinearSegmentedColormap.from_list("traction", ["0.35", "1"])
+_TRACTION = LinearSegmentedColormap.from_list("traction", [COLOURS["soil"], "1"])
 _TRACTION_STEP = 0.05
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend

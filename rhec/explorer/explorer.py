@@ -27,6 +27,7 @@ from rhec.explorer.field_run import ZOOMS, colour_of, name_of
 from rhec.explorer.panels import packed
 from rhec.explorer.screen import CSS, Screen
 from rhec.simulation import closed_loop
+from rhec.simulation.faults import SENSOR_CHANNELS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
@@ -71,7 +72,7 @@ def _table_row(run, title, cell, subtracted):
     cells = [
         cell(run.metrics[name] - subtracted.get(name, 0), digits) for name, _, _, digits in METRICS
     ]
-    return f"<tr><td>{swatch} {title}</td>{''.join(f'<td>{text}</td>' for text in cells)}</tr>"
+    return f"<tr><td>{swatch}&nbsp;{title}</td>{''.join(f'<td>{text}</td>' for text in cells)}</tr>"
 
 
 def _value(number, digits):
@@ -321,6 +322,7 @@ class Explorer(widgets.VBox):
         """Draw the runs, their metrics, and the scenario as a line."""
         self.unpin.disabled = not self.pinned
         self._show_process_noise()
+        self._fold_sensors()
         self.remove_patch.disabled = not self.patches
         for widget in self.patch:
             widget.disabled = not self.patches
@@ -341,6 +343,14 @@ class Explorer(widgets.VBox):
                 self.is_paused = True  # no run follows this change
                 slider.value = tuning.SIGMA_W["rhe"][noise or "printed"][place]
                 self.is_paused = False
+
+    def _fold_sensors(self):
+        """Hide the sliders of a gyro or a heading that the robot does not have."""
+        used = self.inputs["sensors"].value
+        for key, widget in self.inputs.items():
+            sensor = key.partition("_")[0] if isinstance(key, str) else ""
+            if sensor in SENSOR_CHANNELS:
+                widget.layout.display = None if sensor in used else "none"
 
     def _show_status(self, message, kind=""):
         self.screen.status = message

@@ -1,6 +1,7 @@
 """One or two field runs in six panels: trajectory, error, μ, κ, yaw rate and KKT tolerance."""
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from rhec import paper
 from rhec.explorer.controls import ESTIMATORS
@@ -29,6 +30,7 @@ _SERIES = (
     ("kkt", "t_s", "kkt_rhe", "bold"),
     ("kkt", "t_s", "kkt_rhc", "second"),
 )
+_KKT_SAMPLES = 25  # of the running median: from sample to sample it jumps by powers of ten
 _LOOKS = {
     "bold": dict(width=0.75),  # a pixel: a page takes five times as long for wider ones
     "second": dict(width=0.7, alpha=0.5),
@@ -41,7 +43,7 @@ _TITLES = {
     "mu": "μ: estimate; thin: truth",
     "kappa": "κ: estimate; thin: truth",
     "yaw_rate": "Commanded yaw rate [rad/s]; dashed: its bounds",
-    "kkt": "KKT tolerance: RHE (bold), RHC",
+    "kkt": f"KKT tolerance: RHE (bold), RHC; median of {_KKT_SAMPLES * paper.DT_S:g} s",
 }
 
 
@@ -183,7 +185,7 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     panels = dict(map=Panel(title, x, y, marks["map"], scale))
     for name, title in _TITLES.items():
         scale = "log" if name == "kkt" else ""
-        panels[name] = Panel(title, time, limits[name], marks[name], scale)
+        panels[name] = Panel(title, time, limits[name], marks[name], scale, "t [s]")
     return Picture(_LAYOUT, panels)
 
 
@@ -222,7 +224,10 @@ def _series(kind, run, place):
         label = kind + name_of(run.scenario) if panel == "map" else ""
         if (panel, look, place) == ("mu", "truth", 0):
             label = "truth"
-        yield panel, Mark("line", run.columns[x], run.columns[y], label=label, **style)
+        values = run.columns[y]
+        if panel == "kkt":
+            values = median_filter(values, _KKT_SAMPLES, mode="nearest")
+        yield panel, Mark("line", run.columns[x], values, label=label, **style)
 
 
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):

@@ -8,12 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec.style import BLACK, BLUE, DOUBLE_IN, styled
+from rhec.style import BLACK, BLUE, DOUBLE_IN, SOIL, styled
 
 _PX = 4 / 3  # one point [px]
 # CSS variables that adapt to dark pages.
 _PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
-_WET = [(0.47, 0.27, 0.08, 0), (0.47, 0.27, 0.08, 1)]
 
 
 class Mark(NamedTuple):
@@ -36,13 +35,17 @@ class Mark(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """A pair of axes. scale: "equal" for equal scales, "log" for a logarithmic y axis, or ""."""
+    """A pair of axes.
+
+    scale: "equal" for equal scales, "log" for a logarithmic y axis, or ""; across: what is along x.
+    """
 
     title: str
     xlim: tuple
     ylim: tuple
     marks: list
     scale: str = ""
+    across: str = ""
 
 
 class Picture(NamedTuple):
@@ -75,6 +78,7 @@ def figure_of(picture):
         ax.set_ylim(panel.ylim, auto=True)
         ax.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
         ax.set_title(panel.title, pad=3)
+        ax.set_xlabel(panel.across, loc="right", labelpad=0)
     handles = [_line(mark, [], [], label=mark.label) for mark in picture.legend]
     figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
     return figure
@@ -99,7 +103,7 @@ def _draw(axes, mark, height):
 def _wet():
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("wet", _WET)
+    return LinearSegmentedColormap.from_list("wet", [f"{SOIL}00", SOIL])
 
 
 def _line(mark, x, y, **more):

@@ -1,8 +1,10 @@
 // A picture on a canvas in the coordinates of its data, for the live page and the explorer.
 class Plot { // a colour is CSS, or the name of a property of the canvas, as "--ink"
-  constructor(canvas, [x0, x1], [low, high], { equal, log } = {}) {
+  constructor(canvas, [x0, x1], [low, high], { equal, log, across = "" } = {}) {
     const { clientWidth: w, clientHeight: h } = canvas, style = getComputedStyle(canvas);
-    const [left, right, top, bottom] = [38, w - 12, 6, h - 20], c = canvas.getContext("2d");
+    const [left, top] = [38, 6], c = canvas.getContext("2d");
+    // A hidden canvas has no size, and a negative scale no circles.
+    const [right, bottom] = [Math.max(w - 12, left + 1), Math.max(h - 20, top + 1)];
     const dots = devicePixelRatio, size = [w, h].map(side => Math.round(side * dots));
     if (`${size}` !== `${[canvas.width, canvas.height]}`) [canvas.width, canvas.height] = size;
     const of = log ? Math.log10 : y => y;
@@ -28,7 +30,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     ticks(x0, right - left, sx, 60, (x, text) => {
       c.moveTo(this.x(x), top), c.lineTo(this.x(x), bottom), c.fillText(text, this.x(x), h - 5);
     });
-    c.textAlign = "right";
+    c.textAlign = "right", c.fillText(across, 30, h - 5);
     ticks(y0, bottom - top, sy, Math.max(Math.min(32, h / 5), log ? sy : 0), (value, text) => {
       const y = bottom - (value - y0) * sy; // log: of whole powers
       c.moveTo(left, y), c.lineTo(right, y), c.fillText(log ? `1e${text}` : text, 34, y + 4);

@@ -45,8 +45,8 @@ function render({ model, el }) {
     const end = bytes.byteOffset + bytes.byteLength; // slice() aligns the floats
     const numbers = new Float32Array(bytes.buffer.slice(bytes.byteOffset, end));
     const column = ([first, n]) => numbers.subarray(first, first + n);
-    for (const [name, { xlim, ylim, scale, marks }] of Object.entries(panels)) {
-      const plot = new Plot(canvases[name], xlim, ylim, { [scale]: true });
+    for (const [name, { xlim, ylim, scale, across, marks }] of Object.entries(panels)) {
+      const plot = new Plot(canvases[name], xlim, ylim, { [scale]: true, across });
       for (const mark of marks) {
         const x = column(mark.x), y = column(mark.y);
         if (mark.kind === "soil") {

@@ -223,6 +223,12 @@ def test_pinned_runs_stay(made):
     assert made.screen.table.count("<tr>") == 3
 
 
+def running_median(values, half=12):
+    """The median of 25 samples around each, the first and the last one repeated at the ends."""
+    padded = np.concatenate([[values[0]] * half, values, [values[-1]] * half])
+    return np.array([np.median(padded[k : k + 2 * half + 1]) for k in range(len(values))])
+
+
 def test_what_is_drawn_are_the_columns_of_the_runs(made):
     made.pin.click()
     made.inputs["r"].value = 20.0
@@ -230,7 +236,8 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     for run in (*made.runs, *made.pinned):
         for panel, x, y, look in series:
             if run in made.runs or look == "bold":
-                wanted = run.columns[x].astype(np.float32), run.columns[y].astype(np.float32)
+                values = running_median(run.columns[y]) if panel == "kkt" else run.columns[y]
+                wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
                 found = [each[1:] for each in panels[panel]]
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
 
@@ -503,3 +510,10 @@ def test_a_new_structure_says_that_it_compiles_then_runs(made, monkeypatch, tmp_
 def test_the_figure_is_complete_without_an_explorer(run, tmp_path):
     figure = field_run.field_run([run])
     assert style.save(figure, "picture", run.scenario, tmp_path).stat().st_size > 10_000
+
+
+def test_sliders_of_a_sensor_are_shown_where_the_robot_has_it(made):
+    gyro, heading = (made.inputs[key] for key in ("gyro_bias_radps", "heading_sigma_rad"))
+    assert gyro.layout.display == heading.layout.display == "none"
+    made.inputs["sensors"].value = ("gyro",)
+    assert gyro.layout.display is None and heading.layout.display == "none"

@@ -11,6 +11,7 @@ import pytest
 from nbformat import v4
 
 from notebooks import run as notebook
+from notebooks.parameter_table import parameters_of
 from notebooks.run import ParameterError, parameters
 
 CELL = """
@@ -103,6 +104,40 @@ def test_the_cell_can_be_run_again():
     parameters(namespace)  # the misspelt name is gone
     namespace["result"] = [1.0]  # the notebook's own
     parameters(namespace)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").rglob("*.ipynb")))
+def test_the_table_has_every_parameter_with_its_default_and_meaning(path):
+    (tagged,) = (
+        cell
+        for cell in nbformat.read(path, 4).cells
+        if "parameters" in cell.metadata.get("tags", ())
+    )
+    defaults = {"__annotations__": {}}
+    exec(tagged.source, defaults)
+    found = {each.name: each for each in parameters_of(path)}
+    assert [*found] == [*defaults["__annotations__"]]
+    assert all(each.default == str(defaults[name]) for name, each in found.items())
+    assert all(each.meaning and each.type for each in found.values())
+
+
+def test_types_units_and_ranges_are_in_words(tmp_path):
+    tagged = v4.new_code_cell(CELL, metadata={"tags": ["parameters"]})
+    nbformat.write(v4.new_notebook(cells=[tagged]), tmp_path / "toy.ipynb")
+    found = {each.name: each for each in parameters_of(tmp_path / "toy.ipynb")}
+    assert found["speed_mps"] == ("speed_mps", "number", "m/s", "0.5", "as of rhec.Scenario")
+    assert found["seeds"].type == "whole number, 2 to 1000"
+    assert found["process_noise"].type == "printed or likelihood"
+    assert found["gains"].type == "list of: number, 0 to 100"
+
+
+def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
+    path = "notebooks/03_scenario_a.ipynb"
+    monkeypatch.setattr(sys, "argv", ["notebook", path, "--help"])
+    notebook.main()
+    shown = capsys.readouterr().out
+    assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
+    assert "-p seed 0" in shown
 
 
 @pytest.mark.parametrize("path", sorted(Path(__file__).parents[2].glob("notebooks/*.ipynb")))
