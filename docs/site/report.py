@@ -10,7 +10,6 @@ to a folder with the structure of the repository, which preserves links, and wri
 """
 
 import argparse
-import html
 import importlib.metadata
 import platform
 import re
@@ -183,8 +182,8 @@ def _show_saved(notebook, folder, root):
         saved = [name for name in _SAVED.findall(cell.source) if (folder / f"{name}.png").exists()]
         drawn = [output for output in cell.outputs if "image/png" in output.get("data", {})]
         if len(saved) == len(drawn) == 1:
-            alt = html.escape(_plain(caption)[:250])
-            image = f'<img src="{root}figures/{saved[0]}.png" alt="{alt}" width="{_WIDTH_PX}">'
+            alt = re.sub(r"[\[\]]", "", _plain(caption)[:250])
+            image = f"![{alt}]({root}figures/{saved[0]}.png)"
             drawn[0].data = {"text/markdown": image}
 
 
