@@ -30,6 +30,19 @@ def test_a_world_is_what_differs_from_the_default(name):
     assert bool(world) == (name != "default")
 
 
+def test_wet_patches_lie_where_the_path_turns_and_on_a_row():
+    """The robot drives over each of them, on their soil; docs/world.md says where they are."""
+    scenario = rhec.Scenario(**rhec.WORLDS["wet patches"])
+    run = rhec.simulate(scenario)
+    places = np.array([patch[:2] for patch in scenario.patches])
+    _, s = run.path.project(places)
+    assert (run.path.poses(s)[1] != 0).tolist() == [True, False, True]
+    for x, y, radius_m, mu, kappa in scenario.patches:
+        inside = np.hypot(run.log["x_m"] - x, run.log["y_m"] - y) < radius_m
+        assert inside.sum() > 30
+        assert (run.log.loc[inside, ["mu", "kappa"]].median() == [mu, kappa]).all()
+
+
 def test_runs_of_the_simple_world_are_what_they_are():
     """Poses after 20 s and 59.8 s, as they were recorded."""
     scenario = rhec.Scenario(**SIMPLE_WORLD, arrival_mean="smoothed", duration_s=60.0)
