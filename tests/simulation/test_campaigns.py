@@ -133,8 +133,8 @@ def test_a_failing_run_is_a_row_with_its_error(monkeypatch):
     good, metrics = table["error"] == "", set(store.failed_row("")) - {"error"}
     assert list(good) == [True, False, False, True, True]
     assert (
-        table.loc[~good, list(metrics - {"all_ok"})].isna().all(axis=None)
-        and not table.loc[~good, "all_ok"].any()
+        table.loc[~good, list(metrics - {"solver_ok"})].isna().all(axis=None)
+        and not table.loc[~good, "solver_ok"].any()
     )
     assert table["error"].str.fullmatch(r"|\w+: .*").all() and table["error"].str.len().max() < 400
     assert table.loc[1, "start_offset_m"] == BROKEN.start_offset_m
@@ -218,12 +218,11 @@ def test_a_resumed_campaign_has_the_types_of_a_fresh_one(tmp_path):
         assert fresh.dtypes.equals(rhec.campaign(scenarios).dtypes)
 
 
-def test_all_is_not_ok_where_a_result_is_no_number():
-    """Where the antenna sees nothing all the way, there is no mean error by raw GNSS."""
+def test_without_positions_there_is_no_error_by_gnss_but_the_solver_is_ok():
     blind = rhec.Fault(kind="missing", channel="gnss")
     table = rhec.campaign([SHORT, dataclasses.replace(SHORT, faults=(blind,))])
     assert table["mean_error_m"].isna().tolist() == [False, True]
-    assert table["all_ok"].tolist() == [True, False]
+    assert table["solver_ok"].all()
 
 
 def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypatch):

@@ -70,7 +70,7 @@ def campaign(
     Returns:
         A DataFrame with one row for each scenario, in their order: its fields, its metrics
         (`Run.metrics`), and `error`, which is "" or the reason of a failure. The metrics of a
-        failed run are NaN; its `all_ok` is False.
+        failed run are NaN; its `solver_ok` is False.
 
     Raises:
         ValueError: If an argument is invalid.
