@@ -294,7 +294,7 @@ def campaign(
     file = folder / "campaign.parquet"
     with replacing(file) as unfinished:
         table.to_parquet(unfinished)
-    varied = [name for name in values if name != "seed"]
+    varied = [name for name in values if name != "seed" and name in table]
     if len(table) and varied:
         print(table.groupby(varied, sort=False, dropna=False)[_PRINTED].mean().to_string())
     errors = table.loc[table["error"] != "", "error"]

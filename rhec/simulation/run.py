@@ -45,11 +45,12 @@ class Run:
 
     def __repr__(self) -> str:
         m = self.metrics
+        violations = f"{m['violations_true']} violations, {m['violations']} by GNSS"
         return (
             f"Run of {self.scenario!r}\n"
             f"  {len(self.columns['t_s'])} samples, {self.scenario.duration_s:g} s\n"
             f"  mean error {m['mean_error_m']:.4f} m, true {m['mean_error_true_m']:.4f} m\n"
-            f"  {self._in_its_row()}: {m['violations_true']} violations, {m['violations']} by GNSS\n"
+            f"  {self._in_its_row()}: {violations}\n"
             f"  {'every' if m['solver_ok'] else 'not every'} QP was solved"
         )
 
