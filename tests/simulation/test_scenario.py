@@ -178,6 +178,16 @@ def test_every_field_is_documented_once():
             assert isinstance(choice, bool) or str(choice) in field.text, name
 
 
+def test_a_table_describes_every_parameter():
+    table = rhec.Scenario.describe()
+    assert list(table.index) == FIELDS
+    assert list(table.columns) == ["default", "unit", "group", "what it does"]
+    assert rhec.Scenario(**table["default"]) == rhec.Scenario()
+    assert (table.loc["speed_mps", ["unit", "group"]] == ["m/s", "the drive"]).all()
+    soil = table.index[table["group"] == "the soil"]
+    assert {"mu_mean", "patches"} <= {*soil} and "gnss_sigma_m" not in soil
+
+
 def test_the_help_says_unit_and_range_beside_the_text():
     help_text = pydoc.plain(pydoc.render_doc(rhec.Scenario))
     assert "speed_mps: Set speed [m/s], 0 to 1.4." in help_text
