@@ -60,8 +60,8 @@ def main(words: Sequence[str] | None = None) -> int:
         try:
             return _app(words)(words) or 0
         except CycloptsError as error:
-            command = next((each.__name__ for each in _COMMANDS if each.__name__ in words[:1]), "")
-            return _said(f"{error} See: {' '.join(['rhec', command]).rstrip()} --help", 2)
+            command = [each.__name__ for each in _COMMANDS if each.__name__ in words[:1]]
+            return _said(f"{error} See: {' '.join(('rhec', *command, '--help'))}", 2)
         except ValueError as error:
             return _said(error, 2)
         except BrokenPipeError:

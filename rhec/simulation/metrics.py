@@ -1,5 +1,7 @@
 """Errors, violations, settling time: what is reported of a run."""
 
+from typing import Any
+
 import numpy as np
 
 from rhec import paper
@@ -9,10 +11,10 @@ from rhec.tracked_robot.path import ahead_and_left
 SETTLING_SAMPLES = round(5 / paper.DT_S)
 
 
-class Metrics(dict):
+class Metrics(dict[str, Any]):
     """The metrics of a run, {name: value}; a notebook shows their units, too."""
 
-    def _repr_html_(self):
+    def _repr_html_(self) -> str:
         # Imported here, because only notebooks show them.
         from rhec.simulation.run_html import table_of
 

@@ -138,7 +138,8 @@ def docstring(scenario_class):
         entries[field.group].append(_described(name, field))
     return f"""One closed-loop run. SI units; angles in radians.
 
-The groups of parameters below are {", ".join(others)} and {last}.
+The parameters below are in groups: {", ".join(others)},
+{last}.
 R1 to R16 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
 returns a Scenario that differs in some parameters.
 `Scenario.describe()` has them as a table.
