@@ -59,7 +59,10 @@ def main(words: Sequence[str] | None = None) -> int:
         warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
         try:
             return _app(words)(words) or 0
-        except (CycloptsError, ValueError) as error:
+        except CycloptsError as error:
+            command = [each.__name__ for each in _COMMANDS if each.__name__ in words[:1]]
+            return _said(f"{error} See: {' '.join(('rhec', *command, '--help'))}", 2)
+        except ValueError as error:
             return _said(error, 2)
         except BrokenPipeError:
             # What reads the output has ended, as in `rhec … | head`; nothing more can be printed.
@@ -156,12 +159,15 @@ def _shown(default):
 
 
 def _value_of(_, tokens):
-    """A value of the command line: JSON or, if it is not JSON, a string; a list becomes a tuple."""
-    try:
-        value = json.loads(tokens[0].value)
-    except (ValueError, RecursionError):
-        return tokens[0].value
-    return tuple(value) if isinstance(value, list) else value
+    """A value of the command line: JSON, or numbers with commas, or a string; a list is a tuple."""
+    text = tokens[0].value
+    for written in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            value = json.loads(written)
+        except (ValueError, RecursionError):
+            continue
+        return tuple(value) if isinstance(value, list) else value
+    return text
 
 
 _VALUE = Parameter(converter=_value_of, n_tokens=1, metavar="VALUE")
@@ -219,8 +225,10 @@ def simulate(
 ):
     """Drive one simulated field.
 
+    For example: rhec simulate --estimator ekf --seed 3 --q 1,1,0 --plot run.png
+
     Args:
-        world: Name of a simulated world in rhec.WORLDS, whose fields the options below change.
+        world: Name of a simulated world in rhec.WORLDS, whose parameters the options below change.
         log: Write the log: .csv or .parquet.
         plot: Draw the run: .png, .pdf, .svg.
         as_json: Print the metrics as JSON.
@@ -273,6 +281,8 @@ def campaign(
 ):
     """Run every combination of parameter values on many seeds.
 
+    For example: rhec campaign -p estimator rhe ekf -p r 5 10 --seeds 20
+
     Args:
         p: A parameter of rhec.Scenario and its values: numbers, words or lists like [1,1,0]. By
             default both estimators with both W.
@@ -294,9 +304,10 @@ def campaign(
     file = folder / "campaign.parquet"
     with replacing(file) as unfinished:
         table.to_parquet(unfinished)
-    varied = [name for name in values if name != "seed"]
-    if len(table) and varied:
-        print(table.groupby(varied, sort=False, dropna=False)[_PRINTED].mean().to_string())
+    varied = [name for name in values if name != "seed" and name in table]
+    groups = table.groupby(varied, sort=False, dropna=False) if varied else table
+    if len(table):
+        print(groups[_PRINTED].mean().to_string())
     errors = table.loc[table["error"] != "", "error"]
     first = f", the first with {errors.iloc[0]}" if len(errors) else ""
     print(f"{len(table)} runs, {len(errors)} failed{first}; the table is {file}")
@@ -346,6 +357,8 @@ def _read(file, given):
 def log(file: str, /, *, folder: Path | None = None, overwrite: _Flag = False, **given: Any):
     """Say what a recorded log tells of its robot, and whether to trust it.
 
+    For example: rhec log drive.csv
+
     Args:
         file: A .csv, .parquet or bag of a recorded robot.
         folder: Write the tables of the smoothed estimates, too, as rhec replay does.
@@ -385,6 +398,8 @@ def _log_options():
 def doctor(file: str, /, *, as_json: _Json = False, **given: Any):
     """Find what is wrong with a recorded log.
 
+    For example: rhec doctor drive.csv
+
     Args:
         file: A .csv, .parquet or bag of a recorded robot.
         as_json: Print the findings as JSON.
@@ -404,6 +419,8 @@ def calibrate(
     **given: Any,
 ):
     """Estimate noise, slip and lever arm from a recorded log.
+
+    For example: rhec calibrate drive.csv --yaml robot.yaml
 
     Args:
         file: A .csv, .parquet or bag of a recorded robot.
@@ -432,6 +449,8 @@ def replay(
     **given: Any,
 ):
     """Run an estimator on a recorded log.
+
+    For example: rhec replay drive.csv --estimator ekf --folder estimates
 
     Args:
         file: A .csv, .parquet or bag of a recorded robot.
@@ -472,9 +491,11 @@ def _replay_options():
 def export(folder: Path, /, *, world: str = "default", **given: Any):
     """Write estimator and controller as C99.
 
+    For example: rhec export code --prediction-horizon 10
+
     Args:
         folder: A new or empty folder, or an earlier export.
-        world: Name of a simulated world in rhec.WORLDS, whose fields the options below change.
+        world: Name of a simulated world in rhec.WORLDS, whose parameters the options below change.
     """
     folder = rhec.export(_scenario_of(world, given), folder)
     print(f"{folder}: its README.txt says how to go on")

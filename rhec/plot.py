@@ -8,7 +8,7 @@ from rhec.style import COLOURS, DOUBLE_IN, SKY, styled
 
 
 @styled
-def overview(run, sigma=None):
+def overview(run, sigma):
     """Draw path and robot, errors over time, and the traction with two standard deviations.
 
     Args:
@@ -16,7 +16,6 @@ def overview(run, sigma=None):
         sigma: {"mu", "kappa": standard deviations (n,)} of the estimates, which are not in the
             log; what is missing has no band.
     """
-    sigma = sigma or {}
     ratios = dict(height_ratios=(3, 2, 1.5, 1.5))
     figure, panels = plt.subplots(4, figsize=(DOUBLE_IN, 7), gridspec_kw=ratios)
     _draw_map(panels[0], run)
@@ -57,5 +56,9 @@ def _draw_traction(axes, run, name, sigma):
         axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")
     axes.plot(t_s, run.columns[name], color=COLOURS["truth"], label="true")
     axes.plot(t_s, estimate, color=COLOURS["RHE"], label="estimated")
-    axes.set_ylim(0, 1.1)
+    # Neither a few wild estimates nor a wide band shall hide how the traction changes.
+    shown = np.concatenate([run.columns[name], estimate[np.isfinite(estimate)]])
+    low, high = np.percentile(shown, (0.5, 99.5))
+    margin = 0.1 * (high - low) + 0.01
+    axes.set_ylim(low - margin, high + margin)
     axes.legend(ncols=3)

@@ -189,17 +189,7 @@ def measure(scenarios, folder=None):
     of_logs = {keys[name]: table for name, table in tables.items()}
     rest = {name: part for name, part in runs.items() if keys[name] not in of_logs}
     tables |= drive(rest, folder) if rest else {}
-    for name, part in runs.items():
-        if name not in rest:
-            tables[name] = _with_fields(part, of_logs[keys[name]])
-    return tables
-
-
-def _with_fields(scenarios, table):
-    """A table with the fields of its scenarios, as a campaign's has."""
-    names = [field.name for field in dataclasses.fields(Scenario)]
-    rows = [[getattr(scenario, name) for name in names] for scenario in scenarios]
-    return pd.DataFrame(rows, columns=names).join(table)
+    return tables | {name: of_logs[keys[name]] for name in runs if name not in rest}
 
 
 def _keys_of(scenarios):
@@ -210,7 +200,8 @@ def _keys_of(scenarios):
 def drive(scenarios, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
     every = [scenario for of_name in scenarios.values() for scenario in of_name]
-    table = complete(campaign(every, folder))
+    durations_s = [scenario.duration_s for scenario in every]
+    table = complete(campaign(every, folder).assign(duration_s=durations_s))
     ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
     places = np.split(np.arange(len(table)), ends[:-1])
     return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}

@@ -1,5 +1,7 @@
 """Errors, violations, settling time: what is reported of a run."""
 
+from typing import Any
+
 import numpy as np
 
 from rhec import paper
@@ -9,21 +11,28 @@ from rhec.tracked_robot.path import ahead_and_left
 SETTLING_SAMPLES = round(5 / paper.DT_S)
 
 
+class Metrics(dict[str, Any]):
+    """The metrics of a run, {name: value}; a notebook shows their units, too."""
+
+    def _repr_html_(self) -> str:
+        # Imported here, because only notebooks show them.
+        from rhec.simulation.run_html import table_of
+
+        return table_of(self)
+
+
 def metrics(columns, poses):
-    """Metrics of a run by name; `log_page.METRICS` has their units and definitions.
+    """The Metrics of a run; `log_page.METRICS` has their units and definitions.
 
     `columns` has the log's columns (n,) by name, `poses` (n, 3) the poses of the path at its points
     closest to the robot.
     """
-    t_s = columns["t_s"]
     settled = settled_samples(columns["error_true_m"])
-    settling_time_s = t_s[settled[0]] if len(settled) else np.float64(np.nan)
-    begin = settled[0] + SETTLING_SAMPLES if len(settled) else 0
-    # Where fewer samples are left than the 5 s, the whole run counts.
-    counted = slice(begin if begin < len(t_s) else 0, None)
-
+    counted = _counted(settled, len(columns["t_s"]))
     left = _left_of_path(columns, poses)
-    values = dict(settling_time_s=settling_time_s)
+    values = dict(
+        settling_time_s=columns["t_s"][settled[0]] if len(settled) else np.float64(np.nan)
+    )
     values |= _of_settled_samples(
         {name: column[counted] for name, column in columns.items()}, poses[counted], left[counted]
     )
@@ -34,10 +43,29 @@ def metrics(columns, poses):
         kkt_rhe_median=np.median(columns["kkt_rhe"][counted]),
         kkt_rhc_median=np.median(columns["kkt_rhc"][counted]),
     )
-    # A robot need not settle, and not every estimator has a KKT tolerance.
-    required = values | dict(settling_time_s=0.0, kkt_rhe_median=0.0)
-    values["all_ok"] = columns["ok"].all() & np.isfinite([*required.values()]).all()
-    return {name: value.item() for name, value in values.items()}
+    values["solver_ok"] = columns["ok"].all()
+    return Metrics({name: value.item() for name, value in values.items()})
+
+
+def first_violation_s(columns):
+    """When the true error on a straight first exceeds the tolerance [s]; NaN if never.
+
+    As in `metrics`, samples count from the end of the 5 s that make the robot settled.
+    """
+    t_s = columns["t_s"]
+    counted = _counted(settled_samples(columns["error_true_m"]), len(t_s))
+    outside = (columns["error_true_m"] > paper.TOLERANCE_M) & columns["on_straight"]
+    times_s = t_s[counted][outside[counted]]
+    return times_s[0] if len(times_s) else np.nan
+
+
+def _counted(settled, n):
+    """The slice of the n samples that count as settled.
+
+    It is the whole run where that never settles, or where fewer samples are left than the 5 s.
+    """
+    begin = settled[0] + SETTLING_SAMPLES if len(settled) else 0
+    return slice(begin if begin < n else 0, None)
 
 
 def _of_settled_samples(columns, poses, left):

@@ -2,10 +2,11 @@
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rhec.simulation.metrics import Metrics, first_violation_s
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.terrain import Terrain
@@ -21,14 +22,15 @@ class Run:
 
     Attributes:
         scenario: What was run.
-        metrics: {name: value}; `rhec.simulation.log_page.METRICS` defines them.
+        metrics: {name: value}; a notebook shows their units, and
+            `rhec.simulation.log_page.METRICS` defines them.
         path: The path to follow.
         terrain: The traction of the soil.
         columns: The log's columns by name, arrays (n,).
     """
 
     scenario: Scenario
-    metrics: dict[str, Any]
+    metrics: Metrics
     path: Path
     terrain: Terrain
     columns: dict[str, np.ndarray]
@@ -43,16 +45,26 @@ class Run:
 
     def __repr__(self) -> str:
         m = self.metrics
+        violations = f"{m['violations_true']} violations, {m['violations']} by GNSS"
         return (
             f"Run of {self.scenario!r}\n"
             f"  {len(self.columns['t_s'])} samples, {self.scenario.duration_s:g} s\n"
             f"  mean error {m['mean_error_m']:.4f} m, true {m['mean_error_true_m']:.4f} m\n"
-            f"  violations {m['violations']}, true {m['violations_true']}\n"
-            f"  all_ok: {m['all_ok']}"
+            f"  {self._in_its_row()}: {violations}\n"
+            f"  {'every' if m['solver_ok'] else 'not every'} QP was solved"
         )
 
+    def _in_its_row(self) -> str:
+        """Whether the robot stayed in its row, and since when not."""
+        if np.isnan(self.metrics["settling_time_s"]):
+            return "the robot never came to stay in its row"
+        left_s = first_violation_s(self.columns)
+        if np.isnan(left_s):
+            return "the robot stayed in its row"
+        return f"the robot left its row first at {left_s:.1f} s"
+
     def _repr_html_(self) -> str:
-        """In a notebook: the scenario, a table of the metrics, and the picture."""
+        """In a notebook: the scenario, a table of the metrics, and what `plot` draws."""
         # Imported here, because only notebooks show a run.
         from rhec.simulation.run_html import html_of
 
@@ -60,6 +72,9 @@ class Run:
 
     def plot(self) -> "Figure":
         """Draw path and robot, the errors, and the traction with two standard deviations.
+
+        The deviations are not in the log. The estimator runs again for them, which compiles it
+        the first time.
 
         Returns:
             A matplotlib Figure.

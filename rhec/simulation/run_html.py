@@ -4,25 +4,29 @@ import base64
 import html
 import io
 
-from rhec.plot import overview
 from rhec.simulation.log_page import METRICS
 
 
 def html_of(run):
-    """The scenario, a table of the metrics, and the picture of a Run, as HTML."""
-    rows = "".join(
-        f"<tr><td>{name}</td><td>{_rounded(value)}</td><td>{METRICS[name][0]}</td></tr>"
-        for name, value in run.metrics.items()
-    )
+    """The scenario, the table of the metrics, and the picture of a Run, as HTML."""
     picture = io.BytesIO()
-    # Without the band, since a result of a cell must not wait for a compiler.
-    overview(run).savefig(picture, format="png", dpi=100)
+    run.plot().savefig(picture, format="png", dpi=100)
     data = base64.b64encode(picture.getvalue()).decode()
     return (
         f"<p><code>{html.escape(repr(run.scenario))}</code></p>"
-        f'<div style="display: flex"><table>{rows}</table>'
+        f'<div style="display: flex">{table_of(run.metrics)}'
         f'<img src="data:image/png;base64,{data}" alt="path, errors and traction"></div>'
     )
+
+
+def table_of(metrics):
+    """The Metrics of a run as an HTML table, with their units and, as tooltips, definitions."""
+    rows = []
+    for name, value in metrics.items():
+        unit, text = METRICS[name]
+        cells = f"<td>{name}</td><td>{_rounded(value)}</td><td>{unit}</td>"
+        rows.append(f'<tr title="{html.escape(text)}">{cells}</tr>')
+    return f"<table>{''.join(rows)}</table>"
 
 
 def _rounded(value):

@@ -4,7 +4,7 @@ The text below each field says what it means, with its unit in brackets. Its ann
 values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
 """
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import casadi as ca
 from pydantic import Field as Limits
@@ -22,6 +22,9 @@ from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
 from rhec.tracked_robot.path import Path, path_of
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @validated
@@ -125,7 +128,7 @@ class Scenario:
     guess_yaw_rad: valid.Real = 0.0
     """Error of the estimator's first guess of the yaw [rad]."""
 
-    # The field. In this soil and ground, and with these sensors, the paper's numbers are possible
+    # The soil. In this soil and ground, and with these sensors, the paper's numbers are possible
     # (docs/world.md). `rhec.WORLDS` has other worlds.
 
     terrain: Annotated[Terrain | None, SkipValidation] = None
@@ -192,6 +195,18 @@ class Scenario:
     """Fixes the soil and all noise."""
 
     __repr__ = as_python
+
+    @classmethod
+    def describe(cls) -> "pd.DataFrame":
+        """What may be chosen, as a table.
+
+        Returns:
+            A DataFrame with one row for each parameter, by its name: its default, unit and group
+            ("the estimator", "the controller", …), and what it does.
+        """
+        from rhec.simulation.scenario_fields import description
+
+        return description(cls)
 
     def __post_init__(self):
         if isinstance(self.estimator, ca.Function):

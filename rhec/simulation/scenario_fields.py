@@ -19,7 +19,7 @@ _GROUPS = dict(
     estimator="the estimator",
     q="the controller",
     speed_mps="the drive",
-    terrain="the field",
+    terrain="the soil",
     gnss_sigma_m="the sensors",
 )
 
@@ -118,6 +118,18 @@ def _described(name, field):
     return textwrap.fill(" ".join(sentences), 92, break_on_hyphens=False, **indents)
 
 
+def description(scenario_class):
+    """The table of `Scenario.describe`."""
+    import pandas as pd  # imported here, because it takes as long as the rest of the package
+
+    rows = [
+        (name, getattr(scenario_class, name), field.unit, field.group, field.text)
+        for name, field in fields_of(scenario_class).items()
+    ]
+    columns = ["name", "default", "unit", "group", "what it does"]
+    return pd.DataFrame(rows, columns=columns).set_index("name")
+
+
 def docstring(scenario_class):
     """Scenario's docstring: one entry for each field, by groups."""
     *others, last = _GROUPS.values()
@@ -126,13 +138,15 @@ def docstring(scenario_class):
         entries[field.group].append(_described(name, field))
     return f"""One closed-loop run. SI units; angles in radians.
 
-The groups of fields below are {", ".join(others)} and {last}.
+The parameters below are in groups: {", ".join(others)},
+{last}.
 R1 to R16 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
-returns a Scenario that differs in some fields.
+returns a Scenario that differs in some parameters.
+`Scenario.describe()` has them as a table.
 
 Args:
 {(2 * chr(10)).join(map(chr(10).join, entries.values()))}
 
 Raises:
-    ValueError: If a field is unknown or invalid; the message is one sentence.
+    ValueError: If a parameter is unknown or invalid; the message is one sentence.
 """

@@ -1,4 +1,4 @@
-"""Named worlds: the fields of Scenario that differ from the default ones.
+"""Named worlds: the parameters of Scenario that differ from the default ones.
 
 For example `rhec.Scenario(**rhec.WORLDS["soft"], seed=3)`. docs/world.md says more of each.
 """

@@ -600,8 +600,7 @@ def test_runs_whose_logs_are_needed_are_driven_once(monkeypatch):
             metrics = rhec.simulate(scenario).metrics
             assert row["mean_error_true_m"] == metrics["mean_error_true_m"]
             assert row["violations"] == metrics["violations"]
-    assert {*tables["own"]} - {"error"} <= {*tables["same"]}
-    assert list(tables["same"]["seed"]) == [9, 2] and (tables["same"]["q"] == one[0].q).all()
+    assert {*tables["own"]} - {"error", "seed", "duration_s"} <= {*tables["same"]}
     assert "kkt_rhe_late" in tables["log"] and "kkt_rhe_late" not in tables["own"]
     assert run_sets.measure(dict(runs={}, logs={})) == {}
 

@@ -30,9 +30,10 @@ def log_file(tmp_path):
     return file
 
 
-def test_a_run_is_that_of_python(capsys, tmp_path):
+@pytest.mark.parametrize("q", ["[1, 1, 0.5]", "1,1,0.5"])
+def test_a_run_is_that_of_python(capsys, tmp_path, q):
     file = tmp_path / "log.csv"
-    words = ["simulate", *SHORT, "--world", "soft", "--seed", "3", "--q", "[1, 1, 0.5]"]
+    words = ["simulate", *SHORT, "--world", "soft", "--seed", "3", "--q", q]
     assert main([*words, "--json", "--log", str(file)]) == 0
     metrics = json.loads(capsys.readouterr().out)
     fields = rhec.WORLDS["soft"] | dict(duration_s=8, seed=3, q=(1, 1, 0.5))
@@ -107,7 +108,7 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
         (["doctor", "missing.bag"], "log was 'missing.bag'"),
         (["doctor", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
         (["export", "folder", "--estimator", "oracle"], "estimator was 'oracle'"),
-        (["simulate", "--sed", "1"], "Did you mean --seed?"),
+        (["simulate", "--sed", "1"], "Did you mean --seed? See: rhec simulate --help"),
         (["simulate", "--seed"], "--seed requires an argument"),
         (["simulat"], 'Did you mean "simulate"?'),
     ],
@@ -201,7 +202,9 @@ def test_every_command_has_help(capsys):
     ]  # fmt: skip
     for name in names:
         assert main([name, "--help"]) == 0
-        assert f"Usage: rhec {name}" in capsys.readouterr().out
+        text = capsys.readouterr().out
+        assert f"Usage: rhec {name}" in text
+        assert name == "lab" or f"For example: rhec {name} " in text
 
 
 def test_completion_knows_every_option(capsys, tmp_path, monkeypatch):

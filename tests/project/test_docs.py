@@ -80,7 +80,7 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     with no_compiler():  # compiling all of it takes longer
         for code in re.findall(r"```python\n(.*?)```", TEXT["extending.md"], re.DOTALL):
             exec(compile(code, "extending.md", "exec"), there)
-    assert abs(there["u"]).max() <= 1 and there["run"].metrics["all_ok"]
+    assert abs(there["u"]).max() <= 1 and there["run"].metrics["solver_ok"]
 
 
 def test_the_results_in_the_readme_are_those_of_the_tables():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import rhec
 from rhec.core.batch.batch import EKFBatch, RHEBatch
 from rhec.core.estimator.rhe import RHE
+from rhec.simulation.metrics import Metrics
 
 Array = NDArray[Any]
 SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
@@ -22,7 +23,7 @@ def test_one_run_and_many() -> None:
     run = assert_type(rhec.simulate(SCENARIO), rhec.Run)
     scenario = assert_type(run.scenario, rhec.Scenario)
     log = assert_type(run.log, pd.DataFrame)
-    metrics = assert_type(run.metrics, dict[str, Any])
+    metrics = assert_type(run.metrics, Metrics)
     table = assert_type(rhec.campaign([scenario], workers=1), pd.DataFrame)
     assert isinstance(log, pd.DataFrame) and isinstance(table, pd.DataFrame) and len(table) == 1
     assert {type(value) for value in metrics.values()} <= {float, int, bool}

@@ -152,7 +152,7 @@ def test_metrics_are_what_the_log_says(changes):
         rms_yaw_rad=np.sqrt(np.mean((after["theta_hat_rad"] - after["theta_rad"]) ** 2)),
         kkt_rhe_median=after["kkt_rhe"].median(skipna=False),
         kkt_rhc_median=after["kkt_rhc"].median(),
-        all_ok=True,
+        solver_ok=True,
     )
     assert {name: got[name] for name in expected} == pytest.approx(expected, nan_ok=True)
 
@@ -238,6 +238,30 @@ def test_the_oracles_know_what_they_say():
 # What a run shows of itself
 
 
+def test_a_run_says_whether_and_when_the_robot_left_its_row():
+    """It leaves it where its positions jump."""
+    calm = simulated(estimator="oracle", start_offset_m=0.0, duration_s=20.0)
+    assert "the robot stayed in its row: 0 violations" in repr(calm)
+    jump = rhec.Fault(kind="jump", size_m=1.0, start_s=20.0, duration_s=20.0)
+    run = simulated(estimator="ekf", start_offset_m=0.0, faults=(jump,), duration_s=60.0)
+    log = run.log[25 + round(run.metrics["settling_time_s"] / 0.2) :]
+    outside = log["t_s"][(log["error_true_m"] > 0.12) & log["on_straight"]]
+    assert len(outside) == run.metrics["violations_true"] > 0
+    assert f"first at {outside.iloc[0]:.1f} s: {len(outside)} violations" in repr(run)
+    assert "never came to stay in its row" in repr(simulated(start_offset_m=-9.0, duration_s=8.0))
+
+
+def test_in_a_notebook_a_run_is_a_table_of_its_metrics_and_the_picture_of_plot(run, monkeypatch):
+    drawn = []
+    plot = rhec.Run.plot
+    monkeypatch.setattr(rhec.Run, "plot", lambda self: drawn.append(plot(self)) or drawn[-1])
+    page = run._repr_html_()
+    assert len(drawn) == page.count("<img ") == 1 and "://" not in page
+    table = run.metrics._repr_html_()
+    assert table in page and all(f"<td>{name}</td>" in table for name in run.metrics)
+    assert f"<td>mean_error_m</td><td>{run.metrics['mean_error_m']:.4g}</td><td>m</td>" in table
+
+
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
 def test_the_picture_of_a_run_has_path_errors_and_traction(estimator):
     run = simulated(estimator=estimator, duration_s=20.0)
@@ -247,3 +271,8 @@ def test_the_picture_of_a_run_has_path_errors_and_traction(estimator):
     np.testing.assert_array_equal(robot_line.get_xdata(), run.columns["x_m"])
     # Two standard deviations, where the estimator has them for the traction.
     assert len(figure.axes[3].collections) == (1 if estimator == "rhe" else 0)
+    # Most of the height of the axes is for what the traction does.
+    for axes, name in zip(figure.axes[2:], ("mu", "kappa")):
+        low, high = axes.get_ylim()
+        both = np.concatenate([run.columns[name], run.columns[f"{name}_hat"]])
+        assert low < np.median(both) < high and high - low < 1.2 * np.ptp(both) + 0.05

@@ -244,7 +244,7 @@ def test_ok_is_false_where_a_step_was_not_solved():
         log["ok"][:100].all()
         and not log["ok"].all()
         and log["ok"][140:].all()
-        and not run.metrics["all_ok"]
+        and not run.metrics["solver_ok"]
     )
     assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(
         axis=None

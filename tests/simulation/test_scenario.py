@@ -169,6 +169,16 @@ def test_every_field_is_documented_once():
             assert isinstance(choice, bool) or str(choice) in field.text, name
 
 
+def test_a_table_describes_every_parameter():
+    table = rhec.Scenario.describe()
+    assert list(table.index) == FIELDS
+    assert list(table.columns) == ["default", "unit", "group", "what it does"]
+    assert rhec.Scenario(**table["default"]) == rhec.Scenario()
+    assert (table.loc["speed_mps", ["unit", "group"]] == ["m/s", "the drive"]).all()
+    soil = table.index[table["group"] == "the soil"]
+    assert {"mu_mean", "patches"} <= {*soil} and "gnss_sigma_m" not in soil
+
+
 def test_the_described_range_is_the_one_that_is_checked():
     sizes = dict(q=3, sigma_v=4, sigma_w=6, slip=5)
     for name, field in DESCRIBED.items():

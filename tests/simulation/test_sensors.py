@@ -89,7 +89,7 @@ def test_a_fault_touches_the_gyro_alone(kind, value, measured):
     np.testing.assert_allclose(got, np.full(100, expected))
     # The next position comes from the same robot.
     np.testing.assert_array_equal(faulty.log["x_meas_m"][:101], measured.log["x_meas_m"][:101])
-    assert faulty.metrics["all_ok"]
+    assert faulty.metrics["solver_ok"]
 
 
 def test_faults_of_sensors_are_the_same_on_a_recorded_stream(measured):

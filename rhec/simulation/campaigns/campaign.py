@@ -5,12 +5,11 @@ import contextlib
 import functools
 import os
 import textwrap
-import types
+import threading
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from pydantic import Field
 
 from rhec.core._casadi import compiled
@@ -44,6 +43,7 @@ _PARTS_OF_A_LOST_TASK = 8
 _DEATHS_OF_A_RUN = 3
 # So often a worker may die while it starts, before the deaths count as those of the run.
 _STARTS_OF_A_WORKER = 20
+_SHOWN_AFTER_S = 2.0  # a campaign that takes longer shows its progress
 
 
 @checked
@@ -58,7 +58,8 @@ def campaign(
     run on the Dask cluster at DASK_SCHEDULER_ADDRESS. If that is not set, a small campaign runs in
     this process, a large one in one worker process per core (PYTHON_CPU_COUNT sets another number),
     where loky is installed. A worker that is killed loses no finished run; a run has failed if
-    three workers died that ran nothing else.
+    three workers died that ran nothing else. A terminal or a notebook shows a progress bar after
+    two seconds.
 
     Args:
         scenarios: An iterable of rhec.Scenario. Equal scenarios run once.
@@ -68,9 +69,10 @@ def campaign(
         workers: Number of processes on this machine, 1 to 1024; 1 is this process.
 
     Returns:
-        A DataFrame with one row for each scenario, in their order: its fields, its metrics
-        (`Run.metrics`), and `error`, which is "" or the reason of a failure. The metrics of a
-        failed run are NaN; its `all_ok` is False.
+        A DataFrame with one row for each scenario, in their order: the parameters in which the
+        scenarios differ, the metrics (`Run.metrics`), and `error`, which is "" or the reason of a
+        failure. The metrics of a failed run are NaN; its `solver_ok` is False. The parameters that
+        are the same in all scenarios are in the dict `attrs` of the table.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -84,7 +86,10 @@ def campaign(
 
     scenarios = as_list(scenarios, "scenarios")
     rows, places = _driven(scenarios, folder, workers)
-    return pd.DataFrame(_columns_of_fields(scenarios) | rows.take(places), copy=False)
+    varied, constant = _varied_and_constant(scenarios)
+    table = pd.DataFrame(varied | rows.take(places), copy=False)
+    table.attrs = constant
+    return table
 
 
 def _driven(scenarios, folder, workers):
@@ -121,50 +126,24 @@ def _driven(scenarios, folder, workers):
     return rows, rows.places(keys)
 
 
-def _columns_of_fields(scenarios):
-    """Return {field: Series of its values, one a scenario}.
-
-    A value that is the same in all scenarios, as most are, takes hardly any memory: a column of
-    numbers is one number with a stride of 0, and one of texts repeats the same part. pandas copies
-    such a column when it is changed, from version 3 on.
-    """
-    import pandas as pd
-
-    copies_when_changed = int(pd.__version__.split(".")[0]) >= 3
-    columns = {}
+def _varied_and_constant(scenarios):
+    """Return ({field: values} of what varies or is an object, {field: value} of all others)."""
+    varied = {}
+    constant = {}
     for field in fields(Scenario):
         values = [getattr(scenario, field.name) for scenario in scenarios]
-        if copies_when_changed and _are_equal(values):
-            columns[field.name] = _constant(values[0], len(values))
-        else:
-            columns[field.name] = pd.Series(values)
-    return columns
-
-
-# {(type, text, length): Series} of constant columns. They are kept, about 1 kB each: pandas copies
-# a column before it changes it only as long as another Series has the same values.
-_constants = {}
-_PART_OF_TEXTS = 1000  # length of the part that a constant column of texts repeats
-
-
-def _constant(value, n):
-    """Return a Series (n,) of one value, for tables that are made of it without a copy."""
-    import pandas as pd
-
-    if isinstance(value, str):
-        part = pd.Series([value] * min(n, _PART_OF_TEXTS))
-        rest = part[: n % _PART_OF_TEXTS]
-        return pd.concat([part] * (n // _PART_OF_TEXTS) + [rest], ignore_index=True)
-    key = type(value), repr(value), n
-    if key not in _constants:
-        cell = np.empty(1, object if isinstance(value, tuple | types.NoneType) else type(value))
-        cell[0] = value
-        _constants[key] = pd.Series(np.broadcast_to(cell, n), copy=False)
-    return _constants[key]
+        if _are_equal(values):
+            constant[field.name] = values[0]
+        elif values:
+            varied[field.name] = values
+    return varied, constant
 
 
 def _are_equal(values):
-    """Return whether these are all the same number, text, tuple or None; False if there is none."""
+    """Return whether these are all the same number, text, tuple or None; False if there is none.
+
+    pandas copies constants deeply in each operation on a table, so objects are none.
+    """
     if not values or type(values[0]) not in store.PLAIN:
         return False
     first = values[0]
@@ -178,14 +157,23 @@ def _interrupted(n_done, total, folder):
     return f"interrupted after {n_done} of {total} runs; {rest}"
 
 
+@contextlib.contextmanager
 def _progress_bar(total, done):
-    """Return a progress bar of runs, which a terminal shows after the first second."""
+    """A progress bar of runs, which a terminal or a notebook shows after two seconds."""
     from tqdm.auto import tqdm
 
     # None: disabled unless it is a terminal or a notebook in which somebody waits.
     disabled = True if os.environ.get("RHEC_UNATTENDED") else None
-    options = dict(desc="campaign", unit="run", leave=False, delay=1, disable=disabled)
-    return tqdm(total=total, initial=done, **options)
+    options = dict(desc="campaign", unit="run", leave=False, delay=_SHOWN_AFTER_S, disable=disabled)
+    with tqdm(total=total, initial=done, **options) as bar:
+        # By itself a bar appears only when the first runs have ended.
+        timer = threading.Timer(_SHOWN_AFTER_S, bar.refresh)
+        if not bar.disable:
+            timer.start()
+        try:
+            yield bar
+        finally:
+            timer.cancel()
 
 
 def _run_all(scenarios, workers):
