@@ -105,7 +105,8 @@ $(READY): environment.txt pyproject.toml
 	@echo "Installing $$(grep -c == environment.txt) packages"
 	@# Every five seconds, for as long as this shell lives, a line says what pip is at.
 	@(while sleep 5 && kill -0 $$$$ 2>/dev/null; do tail -n 1 .venv/pip.log | cut -c 1-90; done) & \
-	  $(PIP) --require-hashes -r environment.txt > .venv/pip.log 2>&1 || { tail .venv/pip.log >&2; exit 1; }
+	  $(PIP) --require-hashes -r environment.txt > .venv/pip.log 2>&1 || \
+  { tail .venv/pip.log >&2; exit 1; }
 	@$(PIP) -q --no-deps --no-build-isolation -e . && touch $@
 
 .venv/peers: tests/benchmark/peers.txt $(READY)
