@@ -16,7 +16,7 @@ READY := .venv/ready
 # Python with the arguments in WHAT as well, quoted as in a shell but executed by none.
 PY_WHAT := $(PY) -c 'import os, shlex, sys; sys.argv[0] = sys.executable; \
   os.execv(sys.executable, sys.argv + shlex.split(os.environ.get("WHAT", "")))'
-PIP := $(PY) -m pip --disable-pip-version-check install -q
+PIP := $(PY) -m pip --disable-pip-version-check install
 executed = $(1:%=build/notebooks/%.ipynb)
 EXECUTED := $(call executed,$(FIGURES) $(STUDIES))
 
@@ -66,7 +66,8 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 	@report=$$(.venv/bin/lint-imports --no-cache) || { echo "$$report" >&2; exit 1; }
-	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id
+	@git ls-files -z 'notebooks/*.ipynb' | xargs -0 $(PY) -m nbstripout --verify --keep-id \
+	  --extra-keys metadata.language_info
 
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
 	@cd tests && ../$(PY) -m benchmark
@@ -101,11 +102,15 @@ $(READY): environment.txt pyproject.toml
 	  "it must be Python 3.11 or newer with its venv module: make PYTHON=..." >&2; exit 1; }
 	@echo "Setting up .venv with $$("$$PYTHON" --version) (a minute or two the first time)"
 	@"$$PYTHON" -m venv .venv
-	@$(PIP) --require-hashes -r environment.txt
-	@$(PIP) --no-deps --no-build-isolation -e . && touch $@
+	@echo "Installing $$(grep -c == environment.txt) packages"
+	@# Every five seconds, for as long as this shell lives, a line says what pip is at.
+	@(while sleep 5 && kill -0 $$$$ 2>/dev/null; do tail -n 1 .venv/pip.log | cut -c 1-90; done) & \
+	  $(PIP) --require-hashes -r environment.txt > .venv/pip.log 2>&1 || \
+  { tail .venv/pip.log >&2; exit 1; }
+	@$(PIP) -q --no-deps --no-build-isolation -e . && touch $@
 
 .venv/peers: tests/benchmark/peers.txt $(READY)
-	@$(PIP) --no-deps --require-hashes -r $< && touch $@
+	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
 
 # acados has a separate environment, because its wheel contains another CasADi.
 .venv/acados: tests/benchmark/acados.txt $(READY)
@@ -114,14 +119,14 @@ $(READY): environment.txt pyproject.toml
 
 # The WebAssembly compiler for the live page, which the report leaves out without it.
 .venv/wasm: docs/live/zig.txt $(READY)
-	@$(PIP) --no-deps --require-hashes -r $< || true
+	@$(PIP) -q --no-deps --require-hashes -r $< || true
 	@touch $@
 
-# A notebook runs again after an edit of itself, of the package, or of a module beside it.
+# A notebook runs again after an edit of its cells, of the package, or of a module beside it.
 PACKAGE := environment.txt $(wildcard data/*.csv data/*.npz data/*.parquet) \
   $(shell find rhec notebooks -name '*.py' -o -name '*.toml' -o -name '*.[ch]' | sort)
 $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb $(PACKAGE) | $(READY)
-	@$(PY) -m notebooks.run $<
+	@$(PY) -m notebooks.run $< $(if $(filter-out $<,$?),,--if-edited)
 
 # What measures time runs alone; made with studies, the paper's figures come before them.
 TIMED := $(call executed,05_computation_times)

@@ -14,6 +14,7 @@ import logging
 import os
 import reprlib
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Annotated, get_type_hints
@@ -28,6 +29,7 @@ _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
 # Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
 _DPI = 265
+_TELL_S = 30  # a notebook that runs says so often where it is
 
 
 class ParameterError(ValueError):
@@ -158,7 +160,7 @@ def run(notebook, values, output):
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # a kernel that dies by Ctrl-C
     output.parent.mkdir(parents=True, exist_ok=True)
     started_ns = time.time_ns()
-    with _environment(notebook, values, output):
+    with _environment(notebook, values, output), _telling(notebook.stem) as on_cell_start:
         executed = papermill.execute_notebook(
             str(notebook),
             None,
@@ -166,7 +168,8 @@ def run(notebook, values, output):
             kernel_name="python3",
             language="python",
             cwd=notebook.parent,
-            progress_bar={"desc": notebook.stem, "leave": False, "disable": None},
+            progress_bar=False,
+            on_cell_start=on_cell_start,
             extra_arguments=[
                 "--IPKernelApp.log_level=CRITICAL",
                 # Without it, a tenth of the time to draw goes into looking for garbage.
@@ -177,6 +180,33 @@ def run(notebook, values, output):
         nbformat.write(executed, unfinished)
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
+
+
+@contextlib.contextmanager
+def _telling(name):
+    """A context in which a notebook says every half minute below which heading it is.
+
+    Its value is what nbclient calls with each cell before it runs.
+    """
+    started_s = time.monotonic()
+    heading = ""
+    ended = threading.Event()
+
+    def on_cell_start(cell, cell_index):
+        nonlocal heading
+        if cell.cell_type == "markdown":
+            titles = [line for line in cell.source.splitlines() if line.startswith("#")]
+            heading = titles[-1].lstrip("# ") if titles else heading
+
+    def tell():
+        while not ended.wait(_TELL_S):
+            print(f"{name}: {time.monotonic() - started_s:.0f} s, at “{heading}”", flush=True)
+
+    threading.Thread(target=tell, daemon=True).start()
+    try:
+        yield on_cell_start
+    finally:
+        ended.set()
 
 
 @contextlib.contextmanager
@@ -191,7 +221,7 @@ def _environment(notebook, values, output):
     os.environ["RHEC_UNATTENDED"] = "1"  # its outputs hold results, and no progress
     if values:
         os.environ.setdefault("RHEC_FIGURES", str(output.with_suffix("")))
-    else:
+    elif "RHEC_FIGURES" not in os.environ:
         made = ROOT / "build/made"  # the list of these files, for `make clean`
         made.parent.mkdir(exist_ok=True)
         os.environ["RHEC_MADE"] = str(made)
@@ -221,6 +251,9 @@ def main():
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
     values = {name: _value(text) for name, text in args.p}
     output = args.output or _output(notebook, values)
+    if args.if_edited and _has_cells_of(notebook, output):
+        output.touch()
+        return
     interrupted = f"{notebook.stem}: interrupted\n"
 
     started_s = time.monotonic()
@@ -259,11 +292,13 @@ def _arguments():
     )
     value = "a parameter and its value: a number, a word or a list such as [1,2]"
     output = "the executed notebook, by default in build/notebooks"
+    edited = "only if its cells are not those of the output, as after a run in JupyterLab"
     parser.add_argument("notebook", metavar="NOTEBOOK", type=Path, nargs="?")
     parser.add_argument(
         "-p", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"), help=value
     )
     parser.add_argument("--output", type=Path, help=output)
+    parser.add_argument("--if-edited", action="store_true", help=edited)
     parser.add_argument("-h", "--help", action="store_true", help="show this help")
     return parser, parser.parse_args()
 
@@ -280,6 +315,17 @@ def _help_of(notebook, parser):
         path = os.path.relpath(notebook)
         lines += ["", f"example: {parser.prog} {path} -p {first.name} {first.default}"]
     return "\n".join(lines)
+
+
+def _has_cells_of(notebook, output):
+    """Whether an executed notebook has the cells of this one, whatever either has as outputs."""
+    import nbformat
+
+    one, other = (
+        [(cell.cell_type, cell.source) for cell in nbformat.read(path, 4).cells]
+        for path in (notebook, output)
+    )
+    return one == other
 
 
 def _output(notebook, values):

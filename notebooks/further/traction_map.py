@@ -46,7 +46,7 @@ _TRAINING = 1000  # the first seed of the training fields
 _DURATION_S = 120.0
 # Standard deviations in W that each loop chooses from: of the yaw [rad], of μ and κ [1].
 _YAW = (0.01, 0.03, 0.1)
-_SOIL = (0.001, 0.003, 0.015, 0.06)
+_SOIL = (0.003, 0.015, 0.06)
 _XY_M = 0.01
 _SPEED_MPS = 0.2
 _ROUNDING = 1e-9

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbformat import v4
+from traitlets.config import PyFileConfigLoader
 
 from notebooks import run as notebook
 from notebooks.parameter_table import parameters_of
@@ -216,3 +218,81 @@ def test_a_notebook_runs_in_its_folder_and_what_it_saves_is_listed(tmp_path):
     assert listed == ["figures/one.png", "figures/one.pdf"]
     assert all((tmp_path / name).exists() for name in listed)
     assert (tmp_path / "notebooks/mine/mine.png").exists()
+
+
+def toy(folder, *sources):
+    """A notebook of one heading and these cells of code, and its path."""
+    cells = [v4.new_markdown_cell("# A heading"), *map(v4.new_code_cell, sources)]
+    path = folder / "toy.ipynb"
+    nbformat.write(v4.new_notebook(cells=cells), path)
+    return path
+
+
+def run_toy(monkeypatch, path, *options):
+    """Run a notebook as the command line does; its output."""
+    output = path.with_name("out.ipynb")
+    arguments = ["notebook", str(path), "--output", str(output), *options]
+    monkeypatch.setattr(sys, "argv", arguments)
+    notebook.main()
+    return output
+
+
+def test_outputs_that_jupyterlab_saves_are_no_edit(tmp_path, monkeypatch):
+    path = toy(tmp_path, "1 + 1")
+    output = run_toy(monkeypatch, path)
+    made = output.read_bytes()
+    shutil.copy(output, path)
+    run_toy(monkeypatch, path, "--if-edited")
+    assert output.read_bytes() == made and output.stat().st_mtime >= path.stat().st_mtime
+    run_toy(monkeypatch, toy(tmp_path, "1 + 2"), "--if-edited")
+    assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "3"
+
+
+def test_a_notebook_that_takes_long_says_below_which_heading_it_is(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(notebook, "_TELL_S", 0.2)
+    run_toy(monkeypatch, toy(tmp_path, "import time; time.sleep(1)"))
+    assert re.search(r"^toy: \d+ s, at “A heading”$", capfd.readouterr().out, re.M)
+
+
+def test_make_says_whether_anything_but_the_notebook_changed(tmp_path):
+    """Only then do equal cells mean equal outputs."""
+    for name in ("Makefile", "environment.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ("rhec", "notebooks", "build/notebooks", ".venv"):
+        (tmp_path / name).mkdir(parents=True)
+    module = tmp_path / "notebooks/module.py"
+    path = tmp_path / "notebooks/02_equations.ipynb"
+    made = tmp_path / "build/notebooks/02_equations.ipynb"
+    for age, each in enumerate([made, path, module, tmp_path / ".venv/ready"]):
+        each.touch()
+        os.utime(each, (10**9 + age, 10**9 + age))
+    for name in ("environment.txt", "pyproject.toml"):
+        os.utime(tmp_path / name, (0, 0))
+
+    def command():
+        line = ["make", "-n", "build/notebooks/02_equations.ipynb"]
+        return subprocess.run(line, cwd=tmp_path, capture_output=True, text=True).stdout
+
+    assert "notebooks.run" in command() and "--if-edited" not in command()
+    os.utime(module, (0, 0))
+    assert "--if-edited" in command()
+    made.touch()
+    assert "notebooks.run" not in command()
+
+
+def test_jupyterlab_saves_a_notebook_that_was_run_as_git_holds_it(tmp_path):
+    config = PyFileConfigLoader("jupyter_server_config.py", str(ROOT / ".jupyter")).load_config()
+    contents = FileContentsManager(config=config, root_dir=str(tmp_path))
+    held = (ROOT / "notebooks/05_computation_times.ipynb").read_text(encoding="utf-8")
+    found = nbformat.reads(held, 4)
+    found.metadata["language_info"] = dict(name="python", version="3.13.1")
+    for count, cell in enumerate(cell for cell in found.cells if cell.cell_type == "code"):
+        cell.execution_count = count + 1
+        cell.outputs = [v4.new_output("stream", text="a result\n")]
+    (tmp_path / "notebooks").mkdir()
+    saved = {}
+    for name in ("notebooks/one.ipynb", "mine.ipynb"):
+        contents.save(dict(type="notebook", format="json", content=found), name)
+        saved[name] = (tmp_path / name).read_text(encoding="utf-8")
+    assert saved["notebooks/one.ipynb"] == held
+    assert "a result" in saved["mine.ipynb"]

@@ -9,6 +9,8 @@ and ū_i = (θ_r,i+1 - θ_r,i) / (κ̂ Δt), the yaw rate that follows the path 
 those of eq. (12).
 """
 
+import functools
+
 import casadi as ca
 
 import rhec
@@ -23,6 +25,7 @@ def controller(scenario):
     return rhec.Controller(build_step(scenario.prediction_horizon))
 
 
+@functools.cache
 def build_step(N):
     """The step of the controller, over N intervals."""
     horizon = horizon_of(N)

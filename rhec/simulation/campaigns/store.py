@@ -56,7 +56,7 @@ def _canonical_text(value):
     if isinstance(value, OwnStep):
         return repr((value.key, value.memory))
     if isinstance(value, np.ndarray):
-        return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
     if is_dataclass(value):
         texts = {}
         for field in fields(value):
