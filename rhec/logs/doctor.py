@@ -10,13 +10,12 @@ ends with exit code 0 if there are no findings, 1 if there are, 2 if the file ca
 """
 
 import json
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
 from rhec.logs.finding import Finding, Severity
-from rhec.logs.reader import read
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare
 
 
@@ -76,8 +75,7 @@ def doctor(
     Raises:
         ValueError: If there is a path, and its file cannot be read.
     """
-    if isinstance(log, str | Path):
-        log = read(log)
+    log = read_if_path(log)
     try:
         recording = delayed(prepare(log, track_width_m), position_delay_s)
     except ValueError as error:

@@ -121,6 +121,11 @@ def read(
     return log
 
 
+def read_if_path(log: Any) -> Any:
+    """A log that may be the path of a file, which is read as `read` does."""
+    return read(log) if isinstance(log, str | Path) else log
+
+
 def _printable(text):
     r"""Text in which control characters, and those that turn its direction, are as \x1b."""
     return "".join(

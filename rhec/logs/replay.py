@@ -34,6 +34,7 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
 from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import (
     DECLARED,
     POSITION_AGE,
@@ -644,8 +645,8 @@ def replay(
     """Run an estimator on a recorded log of the paper's robot or of any Model.
 
     Args:
-        log: DataFrame of a recording, in SI units, with a row at least every 0.2 s; missing
-            measurements are NaN. Required columns:
+        log: The path of a file, as `rhec.logs.read` takes it; or DataFrame of a recording, in SI
+            units, with a row at least every 0.2 s; missing measurements are NaN. Required columns:
 
             - `t_s`: time [s];
             - `x_m`, `y_m`: measured position of the antenna [m];
@@ -714,6 +715,7 @@ def replay(
     Warns:
         UserWarning: If the yaw is not known, or if the positions are late.
     """
+    log = read_if_path(log)
     if model is not None:
         refuse_with_model(
             track_width_m=track_width_m,
