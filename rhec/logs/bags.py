@@ -169,7 +169,10 @@ def _refuse_own_positions(chosen):
 def _refuse_without_radius(types, chosen, wheel_radius_m):
     encoders = chosen.get("encoders")
     if encoders and types[encoders].endswith("JointState") and wheel_radius_m is None:
-        raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
+        raise ValueError(
+            f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s, which need the "
+            "wheel_radius_m and then the track_width_m (--wheel-radius-m, --track-width-m)"
+        )
 
 
 def _choose(types, topics, fields, wheel_radius_m):
@@ -231,18 +234,16 @@ class _Messages(NamedTuple):
     """The messages of a bag."""
 
     stamps_ns: dict  # {name of a reading: [time stamps]}
+    by_header: dict  # {name of a reading: how many of these are of headers}
     values: dict  # {name of a reading: [values]}
     sensor_frames: dict  # {name of a reading: frame of its first message}
     frames: bag_frames.Frames
 
 
-def _stamp_ns(message, received_ns):
-    """The time in a message's header [ns].
-
-    A header without a stamp has zeros; the recorder's time replaces it.
-    """
+def _stamp_ns(message):
+    """The time in a message's header [ns]; 0 without one, as in a header without a stamp."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return stamp.sec * 10**9 + stamp.nanosec or received_ns if stamp else received_ns
+    return stamp.sec * 10**9 + stamp.nanosec if stamp else 0
 
 
 def _frame(message):
@@ -257,7 +258,11 @@ def _messages(bag, readings):
     """The _Messages of the readings, from an open bag."""
     names = [reading.name for reading in readings]
     messages = _Messages(
-        {name: [] for name in names}, {name: [] for name in names}, {}, bag_frames.Frames()
+        {name: [] for name in names},
+        dict.fromkeys(names, 0),
+        {name: [] for name in names},
+        {},
+        bag_frames.Frames(),
     )
     static = {name for name, kind in bag.types.items() if kind == bag_frames.TYPE}
     static = {name for name in static if name.endswith("static")}
@@ -269,7 +274,9 @@ def _messages(bag, readings):
             continue
         for reading in readings:
             if reading.topic == topic:  # an Odometry may have several roles
-                messages.stamps_ns[reading.name].append(_stamp_ns(message, received_ns))
+                stamp_ns = _stamp_ns(message)
+                messages.stamps_ns[reading.name].append(stamp_ns or received_ns)
+                messages.by_header[reading.name] += stamp_ns > 0
                 messages.values[reading.name].append(reading.values(message))
                 messages.sensor_frames.setdefault(reading.name, _frame(message))
                 n_values += len(reading.columns)
@@ -317,6 +324,10 @@ def _table(reading, messages, wheel_radius_m):
     table = pd.DataFrame(values, index=stamps_ns, columns=reading.columns, dtype=float)
     disorder = int((np.diff(table.index) < 0).sum())
     told = f"{len(table)} messages, {disorder} out of order"
+    clock = "the headers"
+    if messages.by_header[reading.name] < len(table):
+        clock = "the recorder, because headers have no stamp"
+    told += f", times by {clock}"
     if wheel_radius_m is not None:
         tracks = [name for name in TRACKS if name in table]
         table[tracks] *= wheel_radius_m

@@ -163,9 +163,10 @@ def _check_clock(recording):
             "If files were pasted together, replay each, or number them in a column segment.",
         )
     if faults["headers"]:
+        times = "once" if faults["headers"] == 1 else f"{faults['headers']} times"
         yield _note(
             "repeated_header",
-            f"the line of names stands {faults['headers']} more times between the rows",
+            f"the line of names stands {times} more between the rows",
             "Several files may have been pasted together: replay each by itself.",
         )
 

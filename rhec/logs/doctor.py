@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
-from rhec.logs.finding import Finding, Severity
+from rhec.logs.finding import Severity, refused
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare
 
@@ -79,6 +79,5 @@ def doctor(
     try:
         recording = delayed(prepare(log, track_width_m), position_delay_s)
     except ValueError as error:
-        remedy = "rhec.logs.read can rename columns and convert times."
-        return Diagnosis((Finding(Severity.ERROR, "unusable", str(error), remedy),), {})
+        return Diagnosis((refused(str(error), "unusable"),), {})
     return Diagnosis(tuple(checks.findings(recording, sigma_m)), checks.facts(recording))

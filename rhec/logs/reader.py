@@ -3,6 +3,7 @@
 No content of a file is executed. `log.attrs["inferred"]` lists what the reader inferred.
 """
 
+import codecs
 import itertools
 import re
 import warnings
@@ -145,7 +146,11 @@ def _is_path(file):
 
 def _read_csv(file):
     """The table in a .csv file, and its separators as {property: inferred value}."""
-    with file.open(encoding="utf-8-sig") as lines:
+    with file.open("rb") as begin:
+        is_wide = begin.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    # Letters of another encoding stand in names and remarks, which are not read.
+    text = dict(encoding="utf-16" if is_wide else "utf-8-sig")
+    with file.open(**text, errors="replace") as lines:
         head = list(itertools.islice(lines, 50))
     # The space is tried last, because a column name may contain one.
     names = head[0].strip() if head else ""
@@ -164,11 +169,13 @@ def _read_csv(file):
                 file,
                 sep=r"\s+" if separator == " " else separator,
                 decimal=decimal,
-                encoding="utf-8-sig",
+                **text,
+                encoding_errors="replace",
                 skipinitialspace=True,
                 header=0 if has_header else None,
                 index_col=False,  # else the first column of rows that are too long is no column
                 nrows=most_rows + 1,
+                low_memory=False,  # else the types of a column may change from part to part
             )
     except pd.errors.ParserWarning:
         raise ValueError(
@@ -183,6 +190,8 @@ def _read_csv(file):
     # `rostopic echo -p` begins the line of names with %, other loggers begin it with #.
     table.columns = [str(name).strip().lstrip("%# ") for name in table]
     inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+    if is_wide:
+        inferred["encoding"] = "UTF-16"
     if not has_header:
         inferred["header"] = "none, the names of the columns are 0, 1, 2 …"
     return table, inferred
