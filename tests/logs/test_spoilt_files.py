@@ -143,15 +143,14 @@ def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
 
 
 def of_odometry(kind):
-    made = dict(
-        odom=("/odom", "nav_msgs/msg/Odometry"), cmd=("/cmd_vel", "geometry_msgs/msg/Twist")
-    )
+    odom = ("/odom", "nav_msgs/msg/Odometry")
+    topic = odom if kind == "odom" else ("/cmd_vel", "geometry_msgs/msg/Twist")
     messages = []
     for row in LOG.iloc[::2].itertuples():
         speeds = (row.speed_mps, row.yaw_rate_radps)
         command = lambda store, stamp, speeds=speeds: twist(store, *speeds)  # noqa: E731
         message = odometry(row.x_m, row.y_m, *speeds) if kind == "odom" else command
-        messages.append((*made[kind], START_NS + round(1e9 * row.t_s), message))
+        messages.append((*topic, START_NS + round(1e9 * row.t_s), message))
     return messages
 
 
