@@ -350,8 +350,9 @@ def _check_scale(mu, kappa):
             "corrected_yaw_rate",
             f"the course turns {kappa.value:.3g} times as far as the encoders say, so that κ is at "
             "its bound 1",
-            "The driver may already correct the yaw rate (wheel_separation_multiplier): use the "
-            "track speeds with the geometric track_width_m.",
+            "The driver may already correct the yaw rate: rhec.logs.read undoes its "
+            "wheel_separation_multiplier (--wheel-separation-multiplier), or use the track speeds "
+            "with the geometric track_width_m.",
         )
 
 

@@ -59,7 +59,7 @@ def _doubts(samples):
     turns = samples[MEASUREMENTS[3]].abs() > _TURNING_RADPS
     for name, column, counts, cause in (
         ("μ", ESTIMATE[4], moves, "the wheels may be larger than the encoders' speeds assume"),
-        ("κ", ESTIMATE[5], turns, "the driver may already have corrected the yaw rate for slip"),
+        ("κ", ESTIMATE[5], turns, "the driver may have a wheel_separation_multiplier, for read"),
     ):
         share = (samples[column][counts] > _AT_BOUND).mean()
         if share > _OFTEN:
