@@ -204,10 +204,10 @@ def recorded_log(
     return log
 
 
-# A test that marks itself proves something else of a replay that may be lost meanwhile.
-may_be_lost = pytest.mark.filterwarnings("ignore:The estimate is lost")
-warns_of_a_lost_estimate = functools.partial(
-    pytest.warns, UserWarning, match="^The estimate is lost in "
+# A test that marks itself proves something else of a replay whose yaw may be unknown meanwhile.
+may_be_unsure = pytest.mark.filterwarnings("ignore:The yaw is not known to")
+warns_of_an_unknown_yaw = functools.partial(
+    pytest.warns, UserWarning, match="^The yaw is not known to "
 )
 
 

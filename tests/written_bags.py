@@ -13,8 +13,8 @@ DRIVE = "fpn_msgs/msg/Drive"
 DRIVE_DEFINITION = "std_msgs/Header header\nfloat64[4] speeds\nfloat32 yaw_rate\nstring mode\n"
 
 
-def write_bag(folder, kind, messages, packed=None):
-    """A bag of (topic, type, stamp [ns], message) in this order, received a second later each.
+def write_bag(folder, kind, messages, packed=None, period_ns=10**6):
+    """A bag of (topic, type, stamp [ns], message) in this order, each received a period later.
 
     packed: "BZ2" or "LZ4" for a .bag, "STORAGE" (of chunks) or "MESSAGE" for the others.
     """
@@ -41,7 +41,7 @@ def write_bag(folder, kind, messages, packed=None):
         }
         for row, (topic, name, stamp, message) in enumerate(messages):
             writer.write(
-                lines[topic], START_NS + row * 10**6, serialize(message(store, stamp), name)
+                lines[topic], START_NS + row * period_ns, serialize(message(store, stamp), name)
             )
     return next(file.glob("*.mcap")) if kind == "mcap" else file
 

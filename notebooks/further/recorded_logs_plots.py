@@ -13,6 +13,7 @@ import numpy as np
 from notebooks.further.recorded import scores
 from notebooks.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, time_axis
 from notebooks.studies.tables import interval_text
+from rhec.logs.remarks import UNSURE_YAW_RAD
 from rhec.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
@@ -88,18 +89,17 @@ def replay_log(samples, title):
 
 @styled
 def replay_path(estimates, title):
-    """Draw the measured path and that of `rhec.replay`, black where the estimate is lost."""
+    """Draw the measured path and that of `rhec.replay`, black where the yaw is unknown."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
     x = "x_hat_m"
     y = "y_hat_m"
     look = dict(marker=".", linestyle="none", color=COLOURS["measured"])
     axes.plot(estimates["x_meas_m"], estimates["y_meas_m"], **look, markersize=2, label="measured")
     axes.plot(*_broken(estimates, x, y), color=COLOURS["RHE"], linewidth=0.8, label="estimated")
-    if estimates["lost"].any():
-        lost = estimates.assign(
-            **{name: estimates[name].where(estimates["lost"]) for name in (x, y)}
-        )
-        axes.plot(*_broken(lost, x, y), color="black", linewidth=1.5, label="estimated, lost")
+    is_unsure = estimates["sigma_theta_rad"] > UNSURE_YAW_RAD
+    if is_unsure.any():
+        unsure = estimates.assign(**{name: estimates[name].where(is_unsure) for name in (x, y)})
+        axes.plot(*_broken(unsure, x, y), color="black", linewidth=1.5, label="yaw unknown")
     axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
     legend_above(axes)
     rows = f"{estimates['x_meas_m'].notna().sum()} positions in {len(estimates)} rows"

@@ -101,7 +101,7 @@ def _number(value):
     """A number, a time [s] or the yaw of a quaternion [rad]; None for anything else."""
     if isinstance(value, bool | int | float | np.number | np.bool_):
         return float(value)
-    names = _names(value)
+    names = {*_names(value)}
     if {"sec", "nanosec"} <= names:
         return value.sec + 1e-9 * value.nanosec
     if {"x", "y", "z", "w"} <= names:
@@ -111,12 +111,12 @@ def _number(value):
 
 
 def _names(value):
-    return {name for name in getattr(value, "__annotations__", {}) if not name.startswith("__")}
+    return [name for name in getattr(value, "__annotations__", {}) if not name.startswith("__")]
 
 
 def _contents(value):
     """What there is instead, as the end of a sentence."""
     if _is_array(value):
         return f"an array of {len(value)}, of which [0] is the first entry"
-    names = [name for name in getattr(value, "__annotations__", {}) if not name.startswith("__")]
+    names = _names(value)
     return f"it has {', '.join(names[:_LONGEST])}" if names else f"it is a {type(value).__name__}"

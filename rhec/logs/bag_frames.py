@@ -1,4 +1,4 @@
-"""Where sensors are mounted, by the static transforms (/tf_static) in a bag."""
+"""Where sensors are mounted and where the robot is, by the transforms /tf_static and /tf."""
 
 from typing import Any
 
@@ -13,11 +13,20 @@ def _plain(frame):
     return frame.lstrip("/")
 
 
+def stamp_ns(message: Any) -> int:
+    """The time in a message's header [ns]; 0 without one, as in a header without a stamp."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return stamp.sec * 10**9 + stamp.nanosec if stamp else 0
+
+
 class Frames:
-    """The static transforms of a bag: {frame: (parent, R (3, 3), t (3,))}."""
+    """The newest transforms of a bag: {frame: (parent, R (3, 3), t (3,))}."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
+
+    def __str__(self) -> str:
+        return ", ".join(f"{above} → {frame}" for frame, (above, *_) in self._parents.items())
 
     def add(self, message: Any) -> None:
         """Take the transforms of a TFMessage."""
@@ -53,6 +62,10 @@ class Frames:
             above[frame] = (R, t)
         return above
 
+    def pose_in(self, parent: str, frame: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """Rotation and place of a frame in another one above it; None if there is no way up."""
+        return self._above(_plain(frame)).get(_plain(parent))
+
     def pose(self, frame: str) -> tuple[np.ndarray, np.ndarray] | None:
         """Rotation R (3, 3) and place t (3,) [m] of a frame in the base; None if unknown.
 
@@ -70,3 +83,21 @@ class Frames:
         R_f, t_f = of_frame[common]
         R_b, t_b = of_base[common]
         return R_b.T @ R_f, R_b.T @ (t_f - t_b)
+
+
+def moved(frames: Frames, named: tuple[str, str], message: Any) -> list[tuple[int, list]]:
+    """Times [ns] and places (x, y) [m] of the robot at the transforms of a message that move it.
+
+    Only a transform from the frame in which the robot is counts: between these an odometry goes on
+    by the encoders alone, which is no measurement.
+
+    Args:
+        frames: The Frames, with those of this message.
+        named: The frame in which the robot is, and that of the robot.
+        message: A TFMessage.
+    """
+    pose = frames.pose_in(*named)
+    moves = [
+        each for each in message.transforms if _plain(each.header.frame_id) == _plain(named[0])
+    ]
+    return [(stamp_ns(each), [*pose[1][:2]]) for each in moves] if pose else []

@@ -99,6 +99,7 @@ _ROLES = {
     "gyro": {"sensor_msgs/msg/Imu": _Source([*"abcdef"], _imu)},
 }
 _OPTIONAL = ("gyro",)
+_OF_TRANSFORMS = _Source(_POSITION[:2], None)  # which one message does not tell
 # The columns of which any pair, given as fields, fills a role.
 _FILLED_BY = {
     "positions": (_POSITION[:2], ["latitude", "longitude"]),
@@ -151,6 +152,14 @@ def _optional_topic(types, topics, role):
     return None, None
 
 
+def _topic_of_transforms(types, frames):
+    """The topic of transforms that change."""
+    for name, kind in types.items():
+        if kind == bag_frames.TYPE and not name.endswith("static"):
+            return name
+    raise ValueError(f"frames was {frames!r}; the bag has no /tf among {listed(types)}")
+
+
 def _refuse_own_positions(chosen):
     """Raise a ValueError for positions that were made of the encoders."""
     topic = chosen.get("positions", "")
@@ -169,10 +178,13 @@ def _refuse_own_positions(chosen):
 def _refuse_without_radius(types, chosen, wheel_radius_m):
     encoders = chosen.get("encoders")
     if encoders and types[encoders].endswith("JointState") and wheel_radius_m is None:
-        raise ValueError(f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s")
+        raise ValueError(
+            f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s, which need the "
+            "wheel_radius_m and then the track_width_m (--wheel-radius-m, --track-width-m)"
+        )
 
 
-def _choose(types, topics, fields, wheel_radius_m):
+def _choose(types, topics, frames, fields, wheel_radius_m):
     """{role: topic}, and {role: remark} where no topic has a role.
 
     Where a user names fields, these may be all that is wanted: what else cannot be chosen is left
@@ -186,6 +198,9 @@ def _choose(types, topics, fields, wheel_radius_m):
     remarks = {}
     for role, filling in _FILLED_BY.items():
         if any(given.issuperset(columns) for columns in filling):
+            continue
+        if role == "positions" and frames:
+            chosen[role] = _topic_of_transforms(types, frames)
             continue
         if role in _OPTIONAL:
             topic, remark = _optional_topic(types, topics, role)
@@ -209,7 +224,8 @@ def _readings(types, chosen, fields):
     """The _Readings of {role: topic} and of the fields."""
     readings = []
     for role, topic in chosen.items():
-        source = _ROLES[role][types[topic]]
+        kind = types[topic]
+        source = _OF_TRANSFORMS if kind == bag_frames.TYPE else _ROLES[role][kind]
         readings.append(_Reading(role, topic, types[topic], source.columns, source.values))
     for topic in dict.fromkeys(field.topic for field in fields):
         of_topic = [field for field in fields if field.topic == topic]
@@ -231,18 +247,10 @@ class _Messages(NamedTuple):
     """The messages of a bag."""
 
     stamps_ns: dict  # {name of a reading: [time stamps]}
+    by_header: dict  # {name of a reading: how many of these are of headers}
     values: dict  # {name of a reading: [values]}
     sensor_frames: dict  # {name of a reading: frame of its first message}
     frames: bag_frames.Frames
-
-
-def _stamp_ns(message, received_ns):
-    """The time in a message's header [ns].
-
-    A header without a stamp has zeros; the recorder's time replaces it.
-    """
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return stamp.sec * 10**9 + stamp.nanosec or received_ns if stamp else received_ns
 
 
 def _frame(message):
@@ -253,11 +261,15 @@ def _frame(message):
     return getattr(header, "frame_id", "")
 
 
-def _messages(bag, readings):
-    """The _Messages of the readings, from an open bag."""
+def _messages(bag, readings, named):
+    """The _Messages of the readings, from an open bag, with the frames that a user named."""
     names = [reading.name for reading in readings]
     messages = _Messages(
-        {name: [] for name in names}, {name: [] for name in names}, {}, bag_frames.Frames()
+        {name: [] for name in names},
+        dict.fromkeys(names, 0),
+        {name: [] for name in names},
+        {},
+        bag_frames.Frames(),
     )
     static = {name for name, kind in bag.types.items() if kind == bag_frames.TYPE}
     static = {name for name in static if name.endswith("static")}
@@ -267,23 +279,35 @@ def _messages(bag, readings):
         if topic in static:
             messages.frames.add(message)
             continue
+        if named and bag.types[topic] == bag_frames.TYPE:
+            messages.frames.add(message)
+            for stamp_ns, place in bag_frames.moved(messages.frames, named, message):
+                messages.stamps_ns["positions"].append(stamp_ns or received_ns)
+                messages.by_header["positions"] += stamp_ns > 0
+                messages.values["positions"].append(place)
+            messages.sensor_frames["positions"] = named[1]
+            continue
         for reading in readings:
             if reading.topic == topic:  # an Odometry may have several roles
-                messages.stamps_ns[reading.name].append(_stamp_ns(message, received_ns))
+                stamp_ns = bag_frames.stamp_ns(message)
+                messages.stamps_ns[reading.name].append(stamp_ns or received_ns)
+                messages.by_header[reading.name] += stamp_ns > 0
                 messages.values[reading.name].append(reading.values(message))
                 messages.sensor_frames.setdefault(reading.name, _frame(message))
                 n_values += len(reading.columns)
         if n_values > MOST_VALUES:
             raise ValueError(f"its topics have more than {MOST_VALUES} values")
+    if named and not messages.values.get("positions", True):
+        raise ValueError(f"frames was {named!r}; the bag has {messages.frames}")
     return messages
 
 
-def _read(bag, topics, columns, wheel_radius_m):
+def _read(bag, topics, frames, columns, wheel_radius_m):
     """The table of an open bag, with the columns of fields in its attrs, and what was inferred."""
     fields = fields_of(columns, bag.types)
-    chosen, inferred = _choose(bag.types, topics, fields, wheel_radius_m)
+    chosen, inferred = _choose(bag.types, topics, frames, fields, wheel_radius_m)
     readings = _readings(bag.types, chosen, fields)
-    messages = _messages(bag, readings)
+    messages = _messages(bag, readings, frames)
     tables = []
     for reading in readings:
         table, told = _table(reading, messages, wheel_radius_m)
@@ -317,6 +341,10 @@ def _table(reading, messages, wheel_radius_m):
     table = pd.DataFrame(values, index=stamps_ns, columns=reading.columns, dtype=float)
     disorder = int((np.diff(table.index) < 0).sum())
     told = f"{len(table)} messages, {disorder} out of order"
+    clock = "the headers"
+    if messages.by_header[reading.name] < len(table):
+        clock = "the recorder, because headers have no stamp"
+    told += f", times by {clock}"
     if wheel_radius_m is not None:
         tracks = [name for name in TRACKS if name in table]
         table[tracks] *= wheel_radius_m
@@ -366,6 +394,7 @@ def _add_lever_arm(table, messages, inferred):
 def read_bag(
     file: Path,
     topics: tuple[str, ...] | None,
+    frames: tuple[str, str] | None,
     wheel_radius_m: float | None,
     columns: dict[str, str],
 ) -> tuple[pd.DataFrame, dict[str, str]]:
@@ -375,8 +404,8 @@ def read_bag(
 
     Args:
         file: Path of the bag.
-        topics, wheel_radius_m, columns: As in `rhec.logs.read`. Columns that are no fields of
-            messages are not looked at.
+        topics, frames, wheel_radius_m, columns: As in `rhec.logs.read`. Columns that are no fields
+            of messages are not looked at.
 
     Raises:
         ValueError: If rosbags is not installed, or if the bag cannot be read.
@@ -384,7 +413,7 @@ def read_bag(
     files = files_of(file)
     try:
         with opened(files) as bag:
-            return _read(bag, topics, columns, wheel_radius_m)
+            return _read(bag, topics, frames, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
         if type(error) is ValueError:
             raise

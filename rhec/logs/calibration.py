@@ -32,6 +32,7 @@ from rhec.logs.checks import refuse
 from rhec.logs.filtering import Loss
 from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import DECLARED, delayed, prepare, resample, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
@@ -283,7 +284,8 @@ def calibrate(
     distinguish a longer lever arm from another centre of turning.
 
     Args:
-        log: DataFrame of a recording, as `rhec.replay` takes it. Its truth is not used.
+        log: The path of a file, or DataFrame of a recording, as `rhec.replay` takes it. Its truth
+            is not used.
         model: A rhec.Model, whose noise is calibrated instead (`rhec.logs.model_calibration`).
         track_width_m: Distance of the tracks [m], as in `rhec.replay`.
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
@@ -305,6 +307,7 @@ def calibrate(
     Warns:
         UserWarning: If the positions are late.
     """
+    log = read_if_path(log)
     if model is not None:
         of_robot = (track_width_m, position_delay_s or None, trust_log or None)
         return _with_model(log, model, delays_s, arguments, of_robot)

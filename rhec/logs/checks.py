@@ -30,6 +30,10 @@ _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
 _MOST_UNUSABLE = 0.01  # share of rows whose time cannot be used
 _LEAST_COUNTING = 0.5  # share of the positions that pos_ok leaves
 _HOUR_S = 3600.0
+# A receiver's own σ: a fixed solution of centimetres has a tenth of the float one.
+_FLOAT = 5.0
+_BEST = 0.1  # quantile of these σ that is one of the best solution
+_NOTABLE = 0.02  # share of positions
 _NOISE_RATIO = 2.0  # measured noise over the declared one, or the reverse
 _JUMP_M = 0.5  # a step beyond what the speed allows
 _MOST_JUMPS = 2e-4  # share of positions
@@ -144,6 +148,24 @@ def _check_counting(recording):
         )
 
 
+def _check_declared(recording):
+    """Find positions that the receiver declares far worse than the others: RTK float, not fixed."""
+    if DECLARED not in recording.rows:
+        return
+    declared_m = recording.rows.loc[recording.rows[_X].notna(), DECLARED].dropna()
+    best_m = declared_m.quantile(_BEST)
+    is_float = declared_m > _FLOAT * best_m
+    if is_float.mean() > _NOTABLE:
+        yield _note(
+            "float_positions",
+            f"the receiver declares {declared_m[is_float].median():.2g} m for "
+            f"{is_float.mean():.0%} of the positions, and {declared_m[~is_float].median():.2g} m "
+            "for the others: it has lost its fixed solution (RTK float, or without corrections)",
+            f"Leave them out with pos_ok = 0 where {DECLARED} is large, or the whole log is "
+            "replayed with one sigma_v.",
+        )
+
+
 def _check_clock(recording):
     faults = recording.faults
     share = faults["unusable_times"] / faults["rows"]
@@ -163,9 +185,10 @@ def _check_clock(recording):
             "If files were pasted together, replay each, or number them in a column segment.",
         )
     if faults["headers"]:
+        times = "once" if faults["headers"] == 1 else f"{faults['headers']} times"
         yield _note(
             "repeated_header",
-            f"the line of names stands {faults['headers']} more times between the rows",
+            f"the line of names stands {times} more between the rows",
             "Several files may have been pasted together: replay each by itself.",
         )
 
@@ -410,7 +433,7 @@ def _check_manoeuvres(recording):
 
 
 _SERIOUS = (check_standing, _check_counting, check_sensors, check_clock_offset, check_path)
-_OF_ROWS = (_check_clock, _check_rates)
+_OF_ROWS = (_check_clock, _check_rates, _check_declared)
 _OF_MOTION = (
     _check_encoders,
     _check_interpolated,

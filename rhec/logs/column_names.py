@@ -11,8 +11,8 @@ OTHER_NAMES = {
     "y_m": ("y", "north", "northing", "utm_n", "utm_y", "pos_y", "position_y", "py"),
     "speed_mps": ("speed", "v", "vel", "velocity", "v_x", "vel_x", "linear_x", "odom_v"),
     "yaw_rate_radps": ("yaw_rate", "yawrate", "omega", "w", "wz", "angular_z", "gyro_z", "gyro"),
-    "v_left_mps": ("v_left", "v_l", "vl", "left_speed", "speed_left", "vel_left"),
-    "v_right_mps": ("v_right", "v_r", "vr", "right_speed", "speed_right", "vel_right"),
+    "v_left_mps": ("v_left", "v_l", "vl", "left_speed", "speed_left", "left_wheel_speed"),
+    "v_right_mps": ("v_right", "v_r", "vr", "right_speed", "speed_right", "right_wheel_speed"),
 }
 _UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
 _LONGEST = 300  # characters of a list of columns in a message
@@ -52,8 +52,11 @@ def missing_columns(log, required):
     sentence = (
         f"the log had no column {', '.join(missing)}; it should have {', '.join(required.values())}"
     )
-    if RECORDED.items() <= required.items() and set(TRACKS) <= set(columns):
-        sentence += f", or give a track_width_m for {', '.join(TRACKS)}"
+    is_robots = RECORDED.items() <= required.items()
+    if is_robots and set(TRACKS) <= set(columns):
+        sentence += f", or give a track_width_m (--track-width-m) for {', '.join(TRACKS)}"
+    elif is_robots:
+        missing += TRACKS  # may stand there by another name
     sentence += f"; it has {listed}; columns= of rhec.logs.read renames them"
     inferred = log.attrs.get("inferred", {})
     left_out = [f"{role}: {told}" for role, told in inferred.items() if told.startswith("none")]

@@ -10,13 +10,12 @@ ends with exit code 0 if there are no findings, 1 if there are, 2 if the file ca
 """
 
 import json
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
-from rhec.logs.finding import Finding, Severity
-from rhec.logs.reader import read
+from rhec.logs.finding import Severity, refused
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare
 
 
@@ -76,11 +75,9 @@ def doctor(
     Raises:
         ValueError: If there is a path, and its file cannot be read.
     """
-    if isinstance(log, str | Path):
-        log = read(log)
+    log = read_if_path(log)
     try:
         recording = delayed(prepare(log, track_width_m), position_delay_s)
     except ValueError as error:
-        remedy = "rhec.logs.read can rename columns and convert times."
-        return Diagnosis((Finding(Severity.ERROR, "unusable", str(error), remedy),), {})
+        return Diagnosis((refused(str(error), "unusable"),), {})
     return Diagnosis(tuple(checks.findings(recording, sigma_m)), checks.facts(recording))

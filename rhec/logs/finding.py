@@ -32,6 +32,6 @@ class Finding(NamedTuple):
         )
 
 
-def implausible(fact: str) -> Finding:
-    """The Finding of a column that cannot be what its name says."""
-    return Finding(Severity.ERROR, "implausible", fact, "Correct it where the log is read.")
+def refused(fact: str, code: str = "implausible") -> Finding:
+    """The Finding of a log that cannot be used, or of a column that is not what its name says."""
+    return Finding(Severity.ERROR, code, fact, "Correct it where the log is read.")

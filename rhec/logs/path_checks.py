@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from rhec.logs import minimum
-from rhec.logs.finding import Finding, Severity, implausible
+from rhec.logs.finding import Finding, Severity, refused
 from rhec.logs.recording import POSITION_AGE
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -277,6 +277,7 @@ def _names(recording):
     return dict(
         speed=columns[_ENCODERS[0]],
         yaw_rate=columns[_ENCODERS[1]],
+        speeds=", ".join(dict.fromkeys(columns[name] for name in _ENCODERS)),
         yaw=columns.get("theta_rad"),
         place=", ".join(columns[name] for name in _POSITION),
     )
@@ -289,13 +290,13 @@ def check_standing(recording):
     motion = rows[_ENCODERS].mul(rows.groupby("segment")["t_s"].diff(), axis=0).cumsum()
     farthest = (motion.max() - motion.min()).max()
     if len(rows) >= _LEAST_ROWS and farthest < _STANDING:
-        yield implausible(
-            f"the log's {names['speed']} and {names['yaw_rate']} should be of a robot that moves: "
-            f"it drove and turned {farthest:.2g} m and rad at most"
+        yield refused(
+            f"the log's {names['speeds']} should be of a robot that moves: it drove and turned "
+            f"{farthest:.2g} m and rad at most"
         )
     n_held = recording.faults["positions_held"]
     if rows[_POSITION[0]].count() <= recording.faults["segments"] and n_held >= _LEAST_ROWS:
-        yield implausible(
+        yield refused(
             f"the log's {names['place']} should be of a robot that moves: they never change"
         )
 
@@ -318,7 +319,7 @@ def check_path(recording):
             cause = _SWAPPED if truth.value > 0 else _YAW_RATE_CLOCKWISE
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
-            yield implausible(sentence.format(times=slope.value, **names))
+            yield refused(sentence.format(times=slope.value, **names))
     if is_late:
         delay_s = motion.delay_s
         way = "later" if delay_s > 0 else "earlier"
@@ -326,7 +327,7 @@ def check_path(recording):
         yield Finding(
             Severity.WARNING,
             "late_positions",
-            f"the log's {names['place']} come {late} than {names['speed']}, {names['yaw_rate']}; "
+            f"the log's {names['place']} come {late} than {names['speeds']}; "
             f"position_delay_s={delay_s:.2f} corrects this",
             "rhec.calibrate measures the delay together with the place of the antenna.",
         )
@@ -349,8 +350,9 @@ def _check_scale(mu, kappa):
             "corrected_yaw_rate",
             f"the course turns {kappa.value:.3g} times as far as the encoders say, so that κ is at "
             "its bound 1",
-            "The driver may already correct the yaw rate (wheel_separation_multiplier): use the "
-            "track speeds with the geometric track_width_m.",
+            "The driver may already correct the yaw rate: rhec.logs.read undoes its "
+            "wheel_separation_multiplier (--wheel-separation-multiplier), or use the track speeds "
+            "with the geometric track_width_m.",
         )
 
 

@@ -3,6 +3,7 @@
 No content of a file is executed. `log.attrs["inferred"]` lists what the reader inferred.
 """
 
+import codecs
 import itertools
 import re
 import warnings
@@ -41,7 +42,9 @@ def read(
     *,
     columns: dict[str, str] | None = None,
     topics: tuple[str, ...] | None = None,
+    frames: tuple[str, str] | None = None,
     wheel_radius_m: Positive | None = None,
+    wheel_separation_multiplier: Positive | None = None,
 ) -> pd.DataFrame:
     """Read a recorded log from a file into the columns that `rhec.replay` takes.
 
@@ -60,8 +63,13 @@ def read(
             the only topic of its type: NavSatFix, PoseStamped or Odometry for positions;
             JointState, TwistStamped or the twist of an Odometry for speeds. A third one, of type
             Imu, gives `gyro_radps`, about the vertical by /tf_static or as gravity shows it.
+        frames: Of a bag whose positions are in /tf: the frame in which the robot is, and that of
+            the robot, such as ("map", "base_link"). There is a position at each transform from the
+            first one. Others on the way, such as those of odometry, are taken as they are then.
         wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState. It
             also multiplies v_left_mps and v_right_mps where these are fields.
+        wheel_separation_multiplier: By which the robot's driver has multiplied its track width. The
+            yaw rate is multiplied by it, which undoes that: κ is at most 1.
 
     Returns:
         DataFrame. A bag has one row for each time stamp, in order, with the measurements of that
@@ -89,11 +97,14 @@ def read(
             f"log was {str(file)!r}; it should be an existing .csv, .parquet, "
             f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
         )
-    if topics is not None and not is_bag:
-        raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
+    for name, given in (("topics", topics), ("frames", frames)):
+        if given is not None and not is_bag:
+            raise ValueError(
+                f"{name} was {given!r}; only a bag has {name}, and log was {str(file)!r}"
+            )
     try:
         if is_bag:
-            log, inferred = read_bag(file, topics, wheel_radius_m, columns or {})
+            log, inferred = read_bag(file, topics, frames, wheel_radius_m, columns or {})
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
@@ -117,8 +128,27 @@ def read(
         log[name] = log[column]
     log = _in_seconds(log, inferred)
     log = _in_metres(log, inferred)
+    if wheel_separation_multiplier is not None:
+        log = _without_multiplier(log, wheel_separation_multiplier, inferred)
     log.attrs["inferred"] = inferred
     return log
+
+
+def _without_multiplier(log, multiplier, inferred):
+    """The log with the yaw rate of the tracks themselves, not that of a driver."""
+    column = "yaw_rate_radps"
+    if column not in log:
+        raise ValueError(
+            f"wheel_separation_multiplier was {multiplier!r}; it is of {column}, and the log has "
+            f"{', '.join(map(str, log))}"
+        )
+    inferred["yaw rate"] = f"times {multiplier:g}, by which the driver had multiplied the width"
+    return log.assign(**{column: multiplier * pd.to_numeric(log[column], errors="coerce")})
+
+
+def read_if_path(log: Any) -> Any:
+    """A log that may be the path of a file, which is read as `read` does."""
+    return read(log) if isinstance(log, str | Path) else log
 
 
 def _printable(text):
@@ -140,7 +170,11 @@ def _is_path(file):
 
 def _read_csv(file):
     """The table in a .csv file, and its separators as {property: inferred value}."""
-    with file.open(encoding="utf-8-sig") as lines:
+    with file.open("rb") as begin:
+        is_wide = begin.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    # Letters of another encoding stand in names and remarks, which are not read.
+    encoding, errors = ("utf-16", "strict") if is_wide else ("utf-8-sig", "replace")
+    with file.open(encoding=encoding, errors=errors) as lines:
         head = list(itertools.islice(lines, 50))
     # The space is tried last, because a column name may contain one.
     names = head[0].strip() if head else ""
@@ -159,11 +193,13 @@ def _read_csv(file):
                 file,
                 sep=r"\s+" if separator == " " else separator,
                 decimal=decimal,
-                encoding="utf-8-sig",
+                encoding=encoding,
+                encoding_errors=errors,
                 skipinitialspace=True,
                 header=0 if has_header else None,
                 index_col=False,  # else the first column of rows that are too long is no column
                 nrows=most_rows + 1,
+                low_memory=False,  # else the types of a column may change from part to part
             )
     except pd.errors.ParserWarning:
         raise ValueError(
@@ -178,6 +214,8 @@ def _read_csv(file):
     # `rostopic echo -p` begins the line of names with %, other loggers begin it with #.
     table.columns = [str(name).strip().lstrip("%# ") for name in table]
     inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+    if is_wide:
+        inferred["encoding"] = "UTF-16"
     if not has_header:
         inferred["header"] = "none, the names of the columns are 0, 1, 2 …"
     return table, inferred

@@ -105,6 +105,7 @@ def prepare(log, track_width_m=None):
     _drop_implausible(values, columns, present)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
+    values, n_joined = _with_rows_of_the_same_time(values)
     rows, places = _usable_rows(values, paper.DT_S)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
@@ -113,7 +114,7 @@ def prepare(log, track_width_m=None):
         rows=len(log),
         no_position=int(values[_POSITION[0]].isna().sum()),
         no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
-        unusable_times=len(log) - len(places),
+        unusable_times=len(log) - len(places) - n_joined,
         positions_held=int(is_held.sum()),
         positions_flagged=flagged,
         clock_back_s=_set_back_s(values),
@@ -179,8 +180,9 @@ def prepare_for(model, dt_s, log, delays_s=None):
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
+    values, n_joined = _with_rows_of_the_same_time(values)
     rows, places = _usable_rows(values, dt_s)
-    faults = dict(rows=len(log), unusable_times=len(log) - len(places))
+    faults = dict(rows=len(log), unusable_times=len(log) - len(places) - n_joined)
     inputs = [model.outputs[row] for row in model.input_outputs.values()]
     periods_s = {name: _period_s(rows, name) for name in inputs}
     gaps_s = {
@@ -249,6 +251,21 @@ def _leave_out_flagged(values, log):
         values.loc[~(numbers > 0), flagged] = np.nan
 
 
+def _with_rows_of_the_same_time(values):
+    """The rows, the first of each time with what later ones of it measured, and how many these are.
+
+    So sensors that were logged in rows of their own stand in one.
+    """
+    times = values[["segment", "t_s"]]
+    is_later = (times.diff() == 0).all(axis=1)
+    if not is_later.any():
+        return values, 0
+    run = (~is_later).cumsum()
+    alone = values.drop(columns=[*times]).notna().groupby(run).transform("sum").le(1).all(axis=1)
+    joined = values.groupby(run).bfill()[values.columns]
+    return joined.where(alone, values), int((is_later & alone).sum())
+
+
 def _set_back_s(values):
     """By how much the clock is set back at most within a segment of the log [s], or 0."""
     stamped = values[values["t_s"].notna()]
@@ -260,7 +277,7 @@ def _repeated_headers(log):
     """How many rows hold the names of the columns, as those of files pasted together do."""
     repeated = np.zeros(len(log), dtype=bool)
     for name, column in log.items():
-        if column.dtype == object:
+        if not pd.api.types.is_numeric_dtype(column):
             repeated |= [isinstance(word, str) and word == name for word in column]
     return int(repeated.sum())
 

@@ -32,8 +32,9 @@ from rhec.core.estimator.base import joint_guess
 from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.checks import refuse
-from rhec.logs.lost import is_lost, remarks
+from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
 from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import (
     DECLARED,
     POSITION_AGE,
@@ -44,6 +45,7 @@ from rhec.logs.recording import (
     resample,
     with_ages,
 )
+from rhec.logs.remarks import remarks, unknown_yaw
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     ESTIMATE,
@@ -65,7 +67,6 @@ from rhec.tracked_robot.choice import Choice, TractionInput
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import sigma_start, window_of
-from rhec.tracked_robot.tuning import sigma_v_of
 
 # What a replay of the paper's robot estimates, besides its sensors.
 _QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
@@ -474,6 +475,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     """
     how = replay_of(scenario)
     names = scenario.sensors
+    noise_m = position_sigma_m(recording.rows)
     parts = []
     for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
         part = resample(rows, paper.DT_S, recording.averaged)
@@ -493,9 +495,12 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             estimates = _run(how, scenario, stream, yaw_rad, first)
         part[INNOVATION] = _innovations(how, estimates, stream)
         part = pd.concat([part, estimates], axis=1)
-        part["lost"] = is_lost(part, sigma_v_of(scenario))
+        # A heading tells the yaw whatever the course is.
+        by_course = 0.0 if "heading" in names else yaw_sigma_rad(part, noise_m)
         if smooth:
             part = _smooth(how, part, stream, first)
+        part[SIGMA_BY_COURSE] = by_course
+        part[SIGMA[2]] = np.hypot(part[SIGMA[2]], by_course)
         part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
@@ -640,8 +645,8 @@ def replay(
     """Run an estimator on a recorded log of the paper's robot or of any Model.
 
     Args:
-        log: DataFrame of a recording, in SI units, with a row at least every 0.2 s; missing
-            measurements are NaN. Required columns:
+        log: The path of a file, as `rhec.logs.read` takes it; or DataFrame of a recording, in SI
+            units, with a row at least every 0.2 s; missing measurements are NaN. Required columns:
 
             - `t_s`: time [s];
             - `x_m`, `y_m`: measured position of the antenna [m];
@@ -700,7 +705,7 @@ def replay(
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
         `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
-        model, is a list of sentences: whether the estimate is lost, and what the log does not
+        model, is a list of sentences: whether the yaw is known, and what the log does not
         determine. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
 
     Raises:
@@ -708,8 +713,9 @@ def replay(
             or if an argument is invalid.
 
     Warns:
-        UserWarning: If the estimate is lost, or if the positions are late.
+        UserWarning: If the yaw is not known, or if the positions are late.
     """
+    log = read_if_path(log)
     if model is not None:
         refuse_with_model(
             track_width_m=track_width_m,
@@ -742,9 +748,9 @@ def replay(
     is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
-    result.attrs["remarks"] = remarks(samples, is_arm_estimated, scenario.slip)
-    if samples["lost"].any():
-        warnings.warn(result.attrs["remarks"][0], stacklevel=3)
+    result.attrs["remarks"] = remarks(samples, is_arm_estimated)
+    if unknown := unknown_yaw(samples):
+        warnings.warn(unknown, stacklevel=3)
     return result
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.finding import implausible
+from rhec.logs.finding import refused
 from rhec.logs.recording import resample
 from rhec.simulation.columns import MEASUREMENTS, SENSORS
 
@@ -78,7 +78,7 @@ def _check_turns(turns, recording, sensor, unit):
     elif share > _LEAST_SHARE and slope > _DEGREES:
         cause = f"{column} may be in degrees and should be in {unit}"
     if cause:
-        yield implausible(
+        yield refused(
             f"the log's {cause}: it turns {slope:.3g} times as far as "
             f"{recording.columns[_YAW_RATE]} says"
         )
@@ -96,7 +96,7 @@ def _check_degrees(parts, recording):
     ratio = np.median(turns[:, 1] / turns[:, 0])
     if ratio > _DEGREES:
         column = recording.columns[_HEADING]
-        yield implausible(
+        yield refused(
             f"the log's {column} may be in degrees and should be in rad: it turns {ratio:.3g} "
             f"times as far as {recording.columns[_YAW_RATE]} says"
         )
@@ -112,7 +112,7 @@ def _check_offset(parts, recording):
     offset = float(np.angle(mean))
     if abs(offset) > _LARGEST_OFFSET_RAD and spread < _LARGEST_SPREAD_RAD:
         column = recording.columns[_HEADING]
-        yield implausible(
+        yield refused(
             f"the log's {column} is {offset:.3g} rad from the direction in which the robot drives; "
             "it may be counted from north and should be counted from the x axis"
         )

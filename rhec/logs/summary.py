@@ -24,7 +24,6 @@ from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH, SENS
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _KNOWN_YAW_RAD = 0.25  # standard deviation of a yaw that is known
 _OFTEN = 0.1  # share of the samples in which the robot moves
-_LOST = 0.01  # the same, of samples in which the estimate is lost
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _LEAST_COVERED = 0.8  # share of the causal yaw within its 95 % of the smoothed one
 _SETTLED_S = 10.0  # after which the causal estimate is compared with the smoothed one
@@ -156,7 +155,6 @@ def _figures(recording, causal, smoothed):
         "turned [rad]": travelled(recording.rows, MEASUREMENTS[3]),
         "positions used": float((causal["position_accepted"] & moves).sum() / moves.sum()),
         "yaw unknown, share": float((smoothed[sigma_yaw] > _KNOWN_YAW_RAD)[moves].mean()),
-        "lost, share": float(causal["lost"].mean()),
         "yaw within its 95 % of the smoothed one": float(
             (apart.abs() <= 1.96 * causal[sigma_yaw])[settled].mean()
         ),
@@ -176,11 +174,6 @@ def _verdict(recording, traction, figures):
         doubts.append(
             f"the yaw is unknown in {figures['yaw unknown, share']:.0%} of the drive, because "
             "positions and encoders contradict each other or say little: log a gyro or a heading"
-        )
-    if figures["lost, share"] > _LOST:
-        doubts.append(
-            f"the estimate is lost in {figures['lost, share']:.0%} of the samples: see what was "
-            "checked, and try rhec calibrate"
         )
     if figures["yaw within its 95 % of the smoothed one"] < _LEAST_COVERED:
         doubts.append("σ is too small for this log: run rhec calibrate, and replay with it")

@@ -112,7 +112,7 @@ _TABLE = (
         _REPLAY,
     ),
     ("innovation_x_m innovation_y_m", "m", "measured position less the predicted one", _REPLAY),
-    ("lost", "", "whether the estimate is lost, by innovations and bounds", _REPLAY),
+    ("sigma_by_course_rad", "rad", "what sigma_theta_rad has by the course", _REPLAY),
 )
 COLUMNS_BY_NAME = {
     name: Column(unit, text, tables)

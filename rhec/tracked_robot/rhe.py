@@ -18,8 +18,8 @@ _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
 _SIGMA_INPUT = 10.0
-# Where a window restarts, the traction begins as if nothing slipped.
-_RESTART = dict(mu=1.0, kappa=1.0)
+# Where a window restarts, nothing slips and the gyro is as it should be.
+_RESTART = dict(mu=1.0, kappa=1.0) | GYRO_GUESS
 
 # Only positions are judged. A wild one would take the estimate with it. Encoders weigh too little
 # for that, and where a robot stops suddenly, what they measure must not be rejected.

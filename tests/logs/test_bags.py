@@ -156,6 +156,31 @@ def test_the_lever_arm_is_that_of_the_static_transforms(tmp_path, kind):
     assert log.attrs["inferred"]["lever arm"] == told
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_place_of_the_robot_is_that_of_the_frames_a_user_names(tmp_path, kind):
+    """Map → odom → base_link, of which odometry's part alone is no measurement."""
+    messages = []
+    for row in range(N):
+        messages.append(("/odom", ODOMETRY, at(row), odometry(0, 0, 0.5, 0.1)))
+        own = transform("odom", "base_link", (0.1 * row, 0.0, 0.0))
+        messages.append(("/tf", TF, at(row), own))
+        if row % 4 == 0:
+            found = transform("map", "odom", (1.0, 0.5 * row, 0.0), SIDEWAYS)
+            messages.append(("/tf", TF, at(row), found))
+    file = write_bag(tmp_path, kind, messages)
+    log = rhec.logs.read(file, frames=("map", "base_link"))
+    places = log[["x_m", "y_m"]].dropna()
+    rows = np.arange(0, N, 4)
+    np.testing.assert_allclose(places["x_m"], 1.0)
+    np.testing.assert_allclose(places["y_m"], 0.5 * rows + 0.1 * rows)
+    assert log["speed_mps"].notna().sum() == N
+    assert log.attrs["inferred"]["positions"].startswith("/tf, tf2_msgs/msg/TFMessage, 10 messages")
+    with pytest.raises(
+        ValueError, match=r"frames was \('map', 'base'\); the bag has odom → base_l"
+    ):
+        rhec.logs.read(file, frames=("map", "base"))
+
+
 @pytest.mark.parametrize(
     "turn, rate, force, yaw_rate, told",
     [

@@ -107,6 +107,7 @@ DEFECTS = {
     "wheels too small": ("scale_of_speed", LOG.assign(speed_mps=0.75 * SPEED), {}),
     "yaw rate corrected": ("corrected_yaw_rate", LOG.assign(yaw_rate_radps=0.5 * TURN), {}),
     "noise declared too low": ("declared_noise", noisy(0.2), dict(sigma_m=0.02)),
+    "RTK float": ("float_positions", LOG.assign(position_sigma_m=0.02 + 0.4 * FAULTY), {}),
     "rounded to 0.1 m": ("rounded_positions", LOG.round(dict(x_m=1, y_m=1)), {}),
     "odometry as positions": ("own_integral", integrated(), {}),
     "gyro clockwise": ("implausible", gyro(scale=-1.0), {}),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import recorded_log
+from helpers import may_be_unsure, recorded_log
 
 import rhec
 from rhec.logs.position_noise import LEAST_M, position_sigma_m
@@ -27,6 +27,7 @@ def test_no_noise_and_few_positions_give_the_least():
         assert position_sigma_m(prepare(log).rows) == LEAST_M
 
 
+@may_be_unsure
 def test_a_receiver_that_declares_more_is_believed():
     """White noise of 0.05 m, declared 1 m, as of errors that wander: σ of the estimate grows."""
     log = recorded_log(10.0, 60.0, noise_m=0.05)

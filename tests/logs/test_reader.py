@@ -6,6 +6,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from helpers import recorded_log
 from written_bags import (
     START_NS,
     fix,
@@ -368,3 +369,34 @@ def test_a_table_has_no_topics_and_wheels_need_a_radius(tmp_path):
     ]
     with pytest.raises(ValueError, match="wheel_radius_m was None; /joints has wheel speeds"):
         rhec.logs.read(write_bag(tmp_path, "bag", messages))
+
+
+def test_a_path_serves_where_a_log_does(tmp_path):
+    file = tmp_path / "drive.csv"
+    recorded_log(5.0, 60.0, noise_m=0.02).to_csv(file, index=False)
+    log = rhec.logs.read(file)
+    pd.testing.assert_frame_equal(rhec.replay(file), rhec.replay(log))
+    assert str(rhec.doctor(str(file))) == str(rhec.doctor(log))
+    found = rhec.calibrate(file)
+    assert found == rhec.calibrate(log) and found["sigma_v"][0] > 0
+    for takes in (rhec.replay, rhec.doctor, rhec.calibrate):
+        with pytest.raises(ValueError, match="missing.csv'; it should be an existing"):
+            takes(tmp_path / "missing.csv")
+
+
+def test_the_multiplier_of_a_driver_is_undone(tmp_path):
+    """Its yaw rate is that of the tracks by their true width, divided by the multiplier."""
+    log = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
+    log = log[["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps"]]
+    corrected = log.assign(yaw_rate_radps=log["yaw_rate_radps"] / 2.0)
+    file = written(tmp_path, corrected)
+    assert [each.code for each in rhec.doctor(file).findings] == ["corrected_yaw_rate"]
+    undone = rhec.logs.read(file, wheel_separation_multiplier=2.0)
+    np.testing.assert_allclose(undone["yaw_rate_radps"], log["yaw_rate_radps"])
+    assert rhec.doctor(undone).ok
+    with pytest.raises(ValueError, match="wheel_separation_multiplier was 2.0; it is of yaw_rate"):
+        rhec.logs.read(
+            written(tmp_path, log.drop(columns="yaw_rate_radps")), wheel_separation_multiplier=2.0
+        )
+    with pytest.raises(ValueError, match="frames was .*; only a bag has frames"):
+        rhec.logs.read(file, frames=("map", "base_link"))

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from convert_recordings import convert
-from helpers import Bomb, may_be_lost
+from helpers import Bomb, may_be_unsure
 from scipy.integrate import cumulative_trapezoid
 from written_bags import START_NS, odometry, write_bag
 
@@ -196,7 +196,7 @@ def test_a_published_frame_becomes_a_log(form, options, segments):
     assert turned == pytest.approx(np.trapezoid(log["gyro_radps"].iloc[:100], dx=0.1), abs=0.01)
 
 
-@may_be_lost
+@may_be_unsure
 def test_a_converted_recording_can_be_replayed(tmp_path, capsys):
     frame, source = rows_frame()
     with published(frame.astype(object), tmp_path, **source) as (host, table):

@@ -14,9 +14,9 @@ from helpers import (
     MU,
     TRACK_WIDTH_M,
     Bomb,
-    may_be_lost,
+    may_be_unsure,
     recorded_log,
-    warns_of_a_lost_estimate,
+    warns_of_an_unknown_yaw,
 )
 
 import rhec
@@ -144,7 +144,7 @@ def test_the_variance_of_kappa_grows_on_a_straight():
     )
 
 
-@may_be_lost
+@may_be_unsure
 def test_what_gating_rejects_is_in_the_replay():
     """True where a position was used, False where it is missing, rejected or another row's.
 
@@ -162,7 +162,7 @@ def test_what_gating_rejects_is_in_the_replay():
 
 def test_gating_says_when_it_restarts():
     """A yaw that is wrong by 180° is found out by the course over ground."""
-    with warns_of_a_lost_estimate():
+    with warns_of_an_unknown_yaw():
         result = rhec.replay(LOG, first_yaw_rad=0.4 + np.pi, sigma_yaw_rad=0.05)
     restarts = result.index[result["restarted"]]
     assert len(restarts) >= 1 and result["position_accepted"][restarts].all()
@@ -218,7 +218,7 @@ def another_future(log, from_s, generator):
     return pd.concat([log[log["t_s"] <= from_s], later[generator.random(len(later)) < 0.9]])
 
 
-@may_be_lost
+@may_be_unsure
 @pytest.mark.parametrize("gnss, first_yaw_rad", [(each, 0.4) for each in GNSS] + [(GNSS[4], None)])
 def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     """Nor does its absence: wherever the log ends or changes, what was said remains."""
@@ -311,7 +311,7 @@ def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
 
-@may_be_lost
+@may_be_unsure
 def test_the_lever_arm_can_be_given_or_estimated():
     log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=120.0)
     told, wrong, found = (
@@ -336,6 +336,7 @@ def test_the_lever_arm_can_be_given_or_estimated():
     )
 
 
+@may_be_unsure
 def test_the_lever_arm_of_a_bag_is_where_the_estimate_of_it_begins():
     log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=40.0)
     without = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
@@ -415,7 +416,7 @@ def test_rows_out_of_time_change_nothing(estimates):
     assert result.attrs["faults"]["unusable_times"] == 4
 
 
-@may_be_lost
+@may_be_unsure
 @pytest.mark.parametrize(
     "broken",
     [

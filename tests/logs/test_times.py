@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import may_be_lost
+from helpers import may_be_unsure
 
 import rhec
 
@@ -28,7 +28,7 @@ def test_times_that_do_not_rise_are_refused(t_s):
         rhec.replay(DRIVE.assign(t_s=t_s))
 
 
-@may_be_lost
+@may_be_unsure
 def test_some_unusable_times_are_no_reason_to_refuse():
     t_s = np.where(np.arange(600) % 5 == 0, np.nan, T)
     assert rhec.replay(DRIVE.assign(t_s=t_s)).attrs["faults"]["unusable_times"] == 120

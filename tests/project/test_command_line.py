@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import SIMPLE_WORLD, may_be_lost, recorded_log
+from helpers import SIMPLE_WORLD, may_be_unsure, recorded_log
 from matplotlib.figure import Figure
 
 import rhec
@@ -43,7 +43,7 @@ def test_a_run_is_that_of_python(capsys, tmp_path, q):
     pd.testing.assert_frame_equal(pd.read_csv(file), run.log, check_exact=False, rtol=1e-14)
 
 
-@may_be_lost
+@may_be_unsure
 def test_a_replay_is_that_of_python(capsys, log_file, tmp_path):
     folder = tmp_path / "estimates"
     words = ["replay", str(log_file), "--folder", str(folder), "--estimator", "ekf", "--smooth"]
@@ -141,7 +141,7 @@ def test_what_exists_is_kept(capsys, tmp_path, make, words):
     assert file.lstat() == before and [*tmp_path.iterdir()] == [file]
 
 
-@may_be_lost
+@may_be_unsure
 def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path, monkeypatch):
     """As if the disk were full in the middle of it."""
     recorded = tmp_path / "recorded.csv"

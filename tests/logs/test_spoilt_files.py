@@ -1,0 +1,224 @@
+"""Files that loggers, editors and bags have spoilt, and all that is said of each."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import TRACK_WIDTH_M, recorded_log
+from written_bags import START_NS, fix, joint_state, odometry, twist, write_bag
+
+import rhec
+
+LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
+TRACKS = ["v_left_mps", "v_right_mps"]
+SPEEDS = ["speed_mps", "yaw_rate_radps"]
+TABLE = LOG[["t_s", "x_m", "y_m", *SPEEDS]]
+AGAIN = TABLE.assign(x_m=TABLE["x_m"] + 20.0)
+LATER = TABLE["t_s"] > 75
+RADIUS_M = 0.1
+ROBOT = dict(wheel_radius_m=RADIUS_M, track_width_m=TRACK_WIDTH_M)
+
+
+def csv(log, **how):
+    return log.to_csv(index=False, **how)
+
+
+def in_rows_of_their_own(log, offset_s):
+    """A log whose positions stand in other rows than its encoders, by a clock that is ahead."""
+    positions = log[["t_s", "x_m", "y_m"]].assign(t_s=log["t_s"] + offset_s)
+    both = pd.concat([log.drop(columns=["x_m", "y_m"]), positions])
+    return both.sort_values("t_s", kind="stable", ignore_index=True)
+
+
+def interpolated(log):
+    known = log[["x_m", "y_m"]].copy()
+    known[log.index % 10 > 0] = np.nan
+    return log.assign(**known.interpolate())
+
+
+def in_degrees(log):
+    rate = 0.75 * log["yaw_rate_radps"] + 0.002 * np.random.default_rng(1).normal(size=len(log))
+    return log.assign(gyro_radps=np.rad2deg(rate))
+
+
+def with_words(log):
+    return log.assign(pos_ok=np.where(log.index % 3, "FIX", "SINGLE"))
+
+
+BACK = "; what follows counts as another drive."
+MISSING = "The log had no column {}; it should have t_s, x_m, y_m, speed_mps, yaw_rate_radps"
+RENAMES = "columns= of rhec.logs.read renames them"
+# name: (the file's text, [all that is said])
+TABLES = {
+    "as UTF-16": (csv(TABLE).encode("utf-16"), []),
+    "in Latin-1, with a remark": (csv(TABLE.assign(remark="grün")).encode("latin-1"), []),
+    "with a row of units": (csv(TABLE).replace("\n", "\ns,m,m,m/s,rad/s\n", 1), []),
+    "cut in its last line": (csv(TABLE)[:-20], []),
+    "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE, 0.0)), []),
+    "without rows": (csv(TABLE[:0]), ["Log was DataFrame without rows; it should be a DataFrame "
+                                      "with rows."]),
+    "without a header": (
+        csv(TABLE, header=False),
+        [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4; "
+         f"{RENAMES} (header: none, the names of the columns are 0, 1, 2 …)."],
+    ),
+    "two files pasted together": (
+        csv(TABLE) + csv(AGAIN),
+        [f"The time falls back by 149.9 s{BACK}",
+         "The line of names stands once more between the rows."],
+    ),
+    "pasted without the header": (
+        csv(TABLE) + csv(AGAIN, header=False), [f"The time falls back by 149.9 s{BACK}"]
+    ),
+    "an hour back": (
+        csv(TABLE.assign(t_s=TABLE["t_s"] + 4000 - 3600 * LATER)),
+        [f"The time falls back by 3600 s, an hour, as at the end of summer time{BACK}"],
+    ),
+    "positions by GPS time": (
+        csv(in_rows_of_their_own(TABLE, 18.0)),
+        ["The log's x_m, y_m are by a clock about 18 s ahead of that of speed_mps, as GPS time is "
+         "ahead of UTC; position_delay_s=18 corrects this."],
+    ),
+    "words in pos_ok": (
+        csv(with_words(TABLE)),
+        ["The log's pos_ok had the words 'SINGLE', 'FIX'; it should be 1 where the measurement "
+         "counts, else 0."],
+    ),
+    "no position that counts": (
+        csv(TABLE.assign(pos_ok=0)),
+        ["The log's pos_ok is true in none of 1500 rows with a position, so that no position "
+         "counts."],
+    ),
+    "interpolated positions": (
+        csv(interpolated(TABLE)),
+        ["90% of the positions lie in the middle between their neighbours: they were "
+         "interpolated."],
+    ),
+    "a gyro in degrees": (
+        csv(in_degrees(TABLE)),
+        ["The log's gyro_radps may be in degrees and should be in rad/s: it turns 43 times as far "
+         "as yaw_rate_radps says."],
+    ),
+    "a yaw rate that the driver corrected": (
+        csv(TABLE.assign(yaw_rate_radps=TABLE["yaw_rate_radps"] / 2)),
+        ["The course turns 1.51 times as far as the encoders say, so that κ is at its bound 1."],
+    ),
+    "carried by hand in a pause": (
+        csv(TABLE.assign(t_s=TABLE["t_s"] + 120 * LATER, x_m=TABLE["x_m"] + 3.0 * LATER)),
+        ["The robot was 2.9 m away after a pause of the recording."],
+    ),
+    "other names of the wheels' speeds": (
+        csv(LOG[["t_s", "x_m", "y_m", *TRACKS]].set_axis(
+            ["t_s", "x_m", "y_m", "left_wheel_speed", "right_wheel_speed"], axis=1)),
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, left_wheel_speed, "
+         f"right_wheel_speed; {RENAMES}: did you mean v_left_mps=left_wheel_speed, "
+         "v_right_mps=right_wheel_speed?."],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_all_that_is_said_of_a_spoilt_table(tmp_path, name):
+    content, sentences = TABLES[name]
+    file = tmp_path / "log.csv"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert [finding.sentence for finding in rhec.doctor(file).findings] == sentences
+
+
+def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
+    """Messages of a receiver and of joints, at 5 Hz."""
+    messages = []
+    for row in LOG.iloc[::2].itertuples():
+        stamp = (START_NS + round(1e9 * row.t_s)) * is_stamped
+        latitude = 46.78 + np.rad2deg(row.y_m / 6.3716e6)
+        longitude = -71.27 + np.rad2deg(row.x_m / (6.3895e6 * np.cos(np.deg2rad(46.78))))
+        status = -1 if no_fix and no_fix[0] < row.t_s < no_fix[1] else 0
+        at = stamp + round(1e9 * fix_ahead_s) * is_stamped
+        place = fix(latitude, longitude, status)
+        wheels = joint_state(row.v_left_mps / RADIUS_M, row.v_right_mps / RADIUS_M)
+        messages += [
+            ("/fix", "sensor_msgs/msg/NavSatFix", at, place),
+            ("/joints", "sensor_msgs/msg/JointState", stamp, wheels),
+        ]
+    return messages
+
+
+def of_odometry(kind):
+    odom = ("/odom", "nav_msgs/msg/Odometry")
+    topic = odom if kind == "odom" else ("/cmd_vel", "geometry_msgs/msg/Twist")
+    messages = []
+    for row in LOG.iloc[::2].itertuples():
+        speeds = (row.speed_mps, row.yaw_rate_radps)
+        command = lambda store, stamp, speeds=speeds: twist(store, *speeds)  # noqa: E731
+        message = odometry(row.x_m, row.y_m, *speeds) if kind == "odom" else command
+        messages.append((*topic, START_NS + round(1e9 * row.t_s), message))
+    return messages
+
+
+# name: (messages, options, [all that is said, or the end of the refusal])
+BAGS = {
+    "as it should be": (drive(), ROBOT, []),
+    "headers without stamps": (drive(is_stamped=False), ROBOT, []),
+    "10 s without a fix": (
+        drive(no_fix=(60.0, 70.0)),
+        ROBOT,
+        ["The positions are missing for up to 10.0 s while the robot moves."],
+    ),
+    "positions by GPS time": (
+        drive(fix_ahead_s=18.0),
+        ROBOT,
+        ["The log's x_m, y_m are by a clock about 18 s ahead of that of v_left_mps, v_right_mps, "
+         "as GPS time is ahead of UTC; position_delay_s=18 corrects this."],
+    ),
+    "no radius": (
+        drive(),
+        dict(track_width_m=TRACK_WIDTH_M),
+        "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need the wheel_radius_m "
+        "and then the track_width_m (--wheel-radius-m, --track-width-m)",
+    ),
+    "no track width": (
+        drive(),
+        dict(wheel_radius_m=RADIUS_M),
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give a track_width_m "
+         "(--track-width-m) for v_left_mps, v_right_mps; it has t_s, latitude, longitude, "
+         f"altitude, v_left_mps, v_right_mps, x_m, y_m; {RENAMES}."],
+    ),
+    "odometry alone": (
+        of_odometry("odom"),
+        {},
+        "the bag's only positions are those of /odom, which are the integral of its own speeds; "
+        "record a receiver, or topics=('/odom',) reads them as real positions",
+    ),
+    "commands alone": (
+        of_odometry("cmd"),
+        {},
+        "no topic for positions (NavSatFix, PoseStamped, PoseWithCovarianceStamped, Odometry) "
+        "among /cmd_vel (geometry_msgs/msg/Twist); columns={'x_m': '/topic.field', …} reads fields "
+        "of any type",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
+    messages, options, said = BAGS[name]
+    file = write_bag(tmp_path, "mcap", messages, period_ns=10**8)
+    options = dict(options)
+    width_m = options.pop("track_width_m", None)
+    if isinstance(said, str):
+        with pytest.raises(ValueError) as refused:
+            rhec.logs.read(file, **options)
+        assert str(refused.value) == f"log was {str(file)!r}, which cannot be read: {said}"
+        return
+    log = rhec.logs.read(file, **options)
+    found = rhec.doctor(log, track_width_m=width_m).findings
+    assert [finding.sentence for finding in found] == said
+    clock = "the recorder, because headers" if "stamps" in name else "the headers"
+    assert f"times by {clock}" in log.attrs["inferred"]["encoders"]
+
+
+def test_a_bag_that_was_cut_off_names_the_command_that_mends_it(tmp_path):
+    content = write_bag(tmp_path, "mcap", drive()).read_bytes()
+    file = tmp_path / "cut.mcap"
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ValueError, match=rf"mcap recover {file} -o NEW.mcap may repair it$"):
+        rhec.logs.read(file)
