@@ -5,6 +5,7 @@ import numpy as np
 
 from rhec import paper
 from rhec.core.estimator import rhe
+from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
@@ -24,7 +25,12 @@ _RESTART = dict(mu=1.0, kappa=1.0)
 # Only positions are judged. A wild one would take the estimate with it. Encoders weigh too little
 # for that, and where a robot stops suddenly, what they measure must not be rejected.
 _POSITION = QUANTITIES[:2]
-JUDGE = InnovationGate(_POSITION, (*_POSITION, "nu_mps", "omega_radps"), doubts_model=False)
+JUDGE = InnovationGate(
+    _POSITION,
+    (*_POSITION, "nu_mps", "omega_radps"),
+    doubts_model=False,
+    half_turn=HalfTurn("theta_rad", "mu"),
+)
 
 # An RHE that is told the traction shows what estimating it is worth. Here (μ, κ) are inputs that
 # are measured almost exactly.
