@@ -10,8 +10,10 @@ q̂ the parameters of the solution without bounds, P_q their covariance, and q w
 
 happens with no more than the limit's share of the windows of a robot whose μ is at 0 or above: the
 left side has the distribution χ² with one degree of freedom where μ is at 0. Such an estimate is
-not `ok`. An absurd speed measurement can bring it about for as long as the window holds it. Where
-more windows in a row say so, the robot is turned round, and the window restarts.
+not `ok`. An absurd speed measurement can bring it about for as long as the window holds it. After
+more samples that say so than a window holds, the robot is turned round, and the window restarts.
+Only a full window that does not say so takes back what was counted: a window that is turned round
+may restart again and again because it rejects its samples.
 """
 
 from typing import NamedTuple
@@ -30,22 +32,41 @@ class HalfTurn(NamedTuple):
         bounds = window.model.parameters.get(self.parameter)
         return bool(bounds) and not window.model.state_bounds
 
-    def is_seen(self, window, multipliers, covariance, limit):
+    def is_seen(self, window, result, limit):
         """Whether the window says so (1 or 0).
 
         Args:
             window: The rhe.Window.
-            multipliers: (n_q,) λ of the bounded parameters.
-            covariance: (n_s, n_s) of the newest node, without the bounds.
+            result: {name: expression} of the feedback: the multipliers (n_q,) λ, and the newest
+                node's covariance (n_s, n_s) without the bounds.
             limit: The quantile of χ².
         """
         places = [*window.interval.bounds]
         place = window.model.joint_names.index(self.parameter)
-        beyond = covariance[place, places] @ multipliers
-        return (beyond < 0) * (beyond**2 > limit * covariance[place, place])
+        of_parameter = result["covariance"][place, :]
+        beyond = of_parameter[places] @ result["multipliers"]
+        return (beyond < 0) * (beyond**2 > limit * of_parameter[place])
 
-    def turned(self, window, s, turns):
-        """The joint state s (n_s,), half a turn on where `turns` is 1."""
+    def counted(self, window, given, is_seen):
+        """After how many samples it was seen, this one included.
+
+        Args:
+            window: The rhe.Window.
+            given: {name: expression} of before this sample: how many there were, as `turned`, and
+                the window's age.
+            is_seen: Whether this sample's window says so.
+        """
+        before = given["turned"] * (1 - self.is_certain(window, given["turned"]))
+        unless = before * (given["age"] < window.N)
+        return ca.if_else(is_seen, before + 1, unless)
+
+    def is_certain(self, window, turned):
+        """Whether so many samples say so that no window holds them all."""
+        return turned > window.N + 1
+
+    def turned(self, window, s, turned):
+        """The joint state s (n_s,), half a turn on where so many samples make it certain."""
         s = ca.SX(s)
-        s[window.model.joint_names.index(self.state)] += ca.pi * turns
+        place = window.model.joint_names.index(self.state)
+        s[place] += ca.pi * self.is_certain(window, turned)
         return s

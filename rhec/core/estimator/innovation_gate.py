@@ -91,8 +91,8 @@ class InnovationGate(guard.Judge):
 
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
-        the covariance S of the last one that was used. Then after how many windows in a row the
-        robot seemed to be turned round.
+        the covariance S of the last one that was used. Then after how many samples the robot seemed
+        to be turned round.
         """
         n = len(self.outputs(window))
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
@@ -110,9 +110,11 @@ class InnovationGate(guard.Judge):
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.outputs), 1))
+        if self.sees_half_turns(window):
+            shapes |= dict(age=(1, 1))  # for `conclude`
 
         @casadi_function("gate", ca.SX, **shapes)
-        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, **values):
+        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, age=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
             kept = _with_inputs_as_before(interval, z_N, v_N, limit * values["V"])
             measured = window.predict_input(B_N, m_N, P_N, v_N, z_N, **values)
@@ -135,9 +137,6 @@ class InnovationGate(guard.Judge):
             y = new_start.innovation(outputs, z_N, s, s_N)
             can_restart = new_start.fits(window, outputs, s, s_N, y)
             after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
-            if "turned" in before:  # if this window seems turned, too; `conclude` knows
-                in_a_row = before["turned"]
-                after["turned"] = 1 + ca.if_else(_has_turned(window, in_a_row), 0, in_a_row)
             is_used = ca.logic_or(is_used, restart)
             rejected = _without(outputs, kept)
             z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
@@ -161,20 +160,20 @@ class InnovationGate(guard.Judge):
         used = [is_valid_measurement(z_used[row], window.model.limits[row]) for row in rows]
         return dict(accepted=ca.vertcat(*used)) if used else {}
 
-    def conclude(self, window, verdict, result):
+    def conclude(self, window, given, verdict, result):
         """The window fails, too, where a variance is not positive or too large."""
         variances = ca.diag(result["covariance"])
         has_variances = ca.mmin(variances) > 0
         kept = result["ok"] * has_variances * (ca.mmax(variances) <= MAX_PLAUSIBLE_STATE)
         ok = kept * verdict["agrees"]
         restart = kept * verdict["restart"]
-        after = {f"{name}_after": verdict[f"{name}_after"] for name in self.memory(window)}
+        after = {name: value for name, value in verdict.items() if name.endswith("_after")}
         if self.sees_half_turns(window):
-            about_window = (result["multipliers"], result["covariance"], _quantile(1))
-            is_turned = self.half_turn.is_seen(window, *about_window)
-            ok *= 1 - is_turned
-            after["turned_after"] *= is_turned
-            restart = ca.logic_or(restart, kept * _has_turned(window, after["turned_after"]))
+            is_seen = self.half_turn.is_seen(window, result, _quantile(1))
+            turned = self.half_turn.counted(window, given, is_seen)
+            ok *= 1 - is_seen
+            restart = ca.logic_or(restart, kept * self.half_turn.is_certain(window, turned))
+            after["turned_after"] = turned
         # A window that fails forgets: what its prediction left here may not be a number.
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
@@ -185,7 +184,7 @@ class InnovationGate(guard.Judge):
         def where(s, values):
             if not self.sees_half_turns(window):
                 return s
-            return self.half_turn.turned(window, s, _has_turned(window, values["turned_after"]))
+            return self.half_turn.turned(window, s, values["turned_after"])
 
         after = {f"{name}_after": shape for name, shape in self.memory(window).items()}
         return new_start.build(window, self.outputs(window), where, after)
@@ -201,11 +200,6 @@ def _quantile(n):
     from scipy.stats import chi2  # takes long to load, and importing the core should not
 
     return float(chi2.isf(TUNED.share, n))
-
-
-def _has_turned(window, in_a_row):
-    """Whether so many windows in a row have no single sample in common."""
-    return in_a_row > window.N + 1
 
 
 def _with_inputs_as_before(interval, z, v, variances):
