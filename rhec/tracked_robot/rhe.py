@@ -9,7 +9,7 @@ from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Estimator, TractionInput
+from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
@@ -152,7 +152,7 @@ def _build_held_step(choice):
 
 
 def _held(name, traction_input):
-    return Estimator(
+    return EstimatorRecord(
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
@@ -167,7 +167,7 @@ def _held(name, traction_input):
 
 
 ESTIMATORS = {
-    "rhe": Estimator(
+    "rhe": EstimatorRecord(
         build_step=lambda choice: build_phases(choice)["step"],
         build_phases=build_phases,
         init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),

@@ -63,8 +63,8 @@ class InnovationGate(guard.Judge):
     """The gate that judges these outputs of a Model, by name; without names all of them.
 
     Outputs that measure an input belong to the inputs, and are not judged by themselves.
-    `accepted` tells of the `reported` outputs, by name, which are used. `half_turn` tells how to see
-    that the robot is thought to be turned round; without it nothing does.
+    `accepted` tells of the `reported` outputs, by name, which are used. `half_turn` tells how to
+    see that the robot is thought to be turned round; without it nothing does.
     """
 
     judged: tuple[str, ...] = ()
