@@ -66,7 +66,7 @@ class Choice(NamedTuple):
         )
 
 
-class Estimator(NamedTuple):
+class EstimatorRecord(NamedTuple):
     """What a closed loop, a replay, a study or the C export must know of an estimator.
 
     Its step is a Function (memory, z_N, settings …) -> (memory, estimate, …), with estimate =

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from rhec.tracked_robot import filters, rhe
-from rhec.tracked_robot.choice import Estimator, TractionInput
+from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 # In the order of menus and messages.
@@ -36,7 +36,7 @@ def _build_oracle(choice):
     return ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options)
 
 
-_ORACLE = Estimator(
+_ORACLE = EstimatorRecord(
     build_step=_build_oracle,
     init=lambda choice, guess, sigma=None: dict(
         memory=np.array([guess[name] for name in QUANTITIES])

@@ -27,7 +27,7 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model.base import Model, interval
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Estimator, TractionInput
+from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, f_with_drift, h
 from rhec.tracked_robot.rhe import SIGMA_START
 
@@ -150,7 +150,7 @@ def _init(model, guess, sigma):
 
 
 def _estimator(name, row):
-    return Estimator(
+    return EstimatorRecord(
         build_step=lambda choice: _build_step(name, row),
         init=lambda choice, guess, sigma=_SIGMA_START: _init(row.model, guess, sigma),
         settings=lambda scenario: tuning.variances_of(name, scenario),

@@ -67,7 +67,7 @@ class Estimator(OwnStep):
         """What a loop must know of it."""
         n, _ = results_of(self.step).get("covariance", (0, 0))
         has_truth = "truth" in inputs_of(self.step)
-        return choice.Estimator(
+        return choice.EstimatorRecord(
             build_step=lambda choice: choice.estimator.step,
             init=self._init,
             settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario))),

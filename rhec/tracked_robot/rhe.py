@@ -5,10 +5,11 @@ import numpy as np
 
 from rhec import paper
 from rhec.core.estimator import rhe
+from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Estimator, TractionInput
+from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
@@ -24,7 +25,12 @@ _RESTART = dict(mu=1.0, kappa=1.0) | GYRO_GUESS
 # Only positions are judged. A wild one would take the estimate with it. Encoders weigh too little
 # for that, and where a robot stops suddenly, what they measure must not be rejected.
 _POSITION = QUANTITIES[:2]
-JUDGE = InnovationGate(_POSITION, (*_POSITION, "nu_mps", "omega_radps"), doubts_model=False)
+JUDGE = InnovationGate(
+    _POSITION,
+    (*_POSITION, "nu_mps", "omega_radps"),
+    doubts_model=False,
+    half_turn=HalfTurn("theta_rad", "mu"),
+)
 
 # An RHE that is told the traction shows what estimating it is worth. Here (μ, κ) are inputs that
 # are measured almost exactly.
@@ -146,7 +152,7 @@ def _build_held_step(choice):
 
 
 def _held(name, traction_input):
-    return Estimator(
+    return EstimatorRecord(
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
@@ -161,7 +167,7 @@ def _held(name, traction_input):
 
 
 ESTIMATORS = {
-    "rhe": Estimator(
+    "rhe": EstimatorRecord(
         build_step=lambda choice: build_phases(choice)["step"],
         build_phases=build_phases,
         init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),

@@ -129,7 +129,7 @@ def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
         f"{name}_after": ca.DM.ones(*shape) for name, shape in gate.memory(window).items()
     }
     result = dict(ok=ca.DM(1), covariance=ca.diag(ca.DM([1.0, variance])))
-    flags = gate.conclude(window, dict(agrees=1, restart=1) | remembered, result)
+    flags = gate.conclude(window, {}, dict(agrees=1, restart=1) | remembered, result)
     assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
     for name in remembered:
         assert (flags[name].full() == is_ok).all()

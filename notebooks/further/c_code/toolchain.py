@@ -121,14 +121,15 @@ def nonsense(machine, program, samples=50_000, seed=0):
     """Run `fuzz`, which feeds an export with invalid measurements; a table of one row.
 
     It counts samples, storms of invalid measurements, still_lost (storms after which the estimate
-    was lost 20 s later), and the samples with each status bit. It is a RuntimeError if an estimate
-    was not finite or a command out of bounds.
+    was lost 20 s later), unnoticed (those of them with status 0), and the samples with each status
+    bit. It is a RuntimeError if an estimate was not finite or a command out of bounds.
     """
     finished = run(machine, program, samples, seed)
     if finished.returncode:
         raise RuntimeError(f"{program.name} failed: {finished.stderr.strip()}")
     summary, _, *rows = finished.stdout.splitlines()
-    counts = dict(zip(("samples", "storms", "still_lost"), map(int, re.findall(r"\d+", summary))))
+    names = ("samples", "storms", "still_lost", "unnoticed")
+    counts = dict(zip(names, map(int, re.findall(r"\d+", summary))))
     statuses = [tuple(map(int, row.split(","))) for row in rows]
     for name, bit in STATUS.items():
         counts[name] = sum(count for status, count in statuses if status & bit)

@@ -61,11 +61,12 @@ class Judge:
 
         return judge
 
-    def conclude(self, window, verdict, result):
+    def conclude(self, window, given, verdict, result):
         """The flags `ok` and `kept`, and what changes of the verdict, given the feedback's result.
 
         Args:
             window: The rhe.Window.
+            given: {name: expression} of the inputs of the judge's Function and of the feedback.
             verdict: {name: expression} of the judge's Function.
             result: {name: expression} of the feedback.
         """
@@ -186,7 +187,7 @@ def _wrap_feedback(window, feedback_of_rhe, judge, symbols):
             noises = whole_noise(window, given | used)
             given |= {_of_window(name): noises[name] for name in noises}
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
-        concluded = judge.conclude(window, verdict, result)
+        concluded = judge.conclude(window, inputs, verdict, result)
         verdict.pop("agrees", None)
         return result | verdict | used | concluded
 

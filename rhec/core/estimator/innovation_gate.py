@@ -25,10 +25,8 @@ window restarts at the fourth sample rejected in a row if second differences of 
 
 are twice no more than noise: white noise of variance σ² has 6σ² (von Neumann, 1941). Up to three
 wild samples therefore move nothing. So it restarts where too many are rejected in a row, whichever
-they are (`patience`). Then the newest sample is the only one of the window, and its arrival cost is
-the prediction, with more variance: that of the start, and y² in the direction of each output.
-Bounded parameters begin anew from their first guess, because the wrong estimate may have driven
-them to a bound at which they stay: a robot that is thought to be turned round drives best at μ = 0.
+they are (`patience`). How it restarts says `new_start`. It restarts, too, where it fits the samples
+only because the robot is thought to be turned round (`half_turn`).
 """
 
 from dataclasses import dataclass
@@ -37,9 +35,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function, short_cut
-from rhec.core.estimator import guard, kalman
-from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible, is_valid_measurement
+from rhec.core._casadi.build import casadi_function
+from rhec.core.estimator import guard, new_start
+from rhec.core.estimator.half_turn import HalfTurn
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
 
 
 class Tuned(NamedTuple):
@@ -57,7 +56,6 @@ class Tuned(NamedTuple):
 
 
 TUNED = Tuned()
-_MAX_VARIANCE = MAX_PLAUSIBLE_STATE / 2  # of a restart, in the direction of an output
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,14 @@ class InnovationGate(guard.Judge):
     """The gate that judges these outputs of a Model, by name; without names all of them.
 
     Outputs that measure an input belong to the inputs, and are not judged by themselves.
-    `accepted` tells of the `reported` outputs, by name, which are used.
+    `accepted` tells of the `reported` outputs, by name, which are used. `half_turn` tells how to
+    see that the robot is thought to be turned round; without it nothing does.
     """
 
     judged: tuple[str, ...] = ()
     reported: tuple[str, ...] = ()
     doubts_model: bool = True
+    half_turn: HalfTurn | None = None
 
     def outputs(self, window):
         """The outputs that are judged."""
@@ -80,19 +80,23 @@ class InnovationGate(guard.Judge):
 
     def limit(self, window):
         """The largest d of a sample that is used."""
-        from scipy.stats import chi2  # takes long to load, and importing the core should not
+        return _quantile(max(len(self.outputs(window)), 1))
 
-        return float(chi2.isf(TUNED.share, max(len(self.outputs(window)), 1)))
+    def sees_half_turns(self, window):
+        """Whether this window can tell that it is turned round."""
+        return bool(self.half_turn and self.half_turn.is_possible(window))
 
     def memory(self, window):
         """What is remembered of the samples before.
 
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
-        the covariance S of the last one that was used.
+        the covariance S of the last one that was used. Then after how many samples the robot seemed
+        to be turned round.
         """
         n = len(self.outputs(window))
-        return dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
+        memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
+        return memory | (dict(turned=(1, 1)) if self.sees_half_turns(window) else {})
 
     def first(self, window):
         """Nothing: the first sample is judged by the first guess."""
@@ -106,9 +110,11 @@ class InnovationGate(guard.Judge):
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.outputs), 1))
+        if self.sees_half_turns(window):
+            shapes |= dict(age=(1, 1))  # for `conclude`
 
         @casadi_function("gate", ca.SX, **shapes)
-        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, **values):
+        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, age=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
             kept = _with_inputs_as_before(interval, z_N, v_N, limit * values["V"])
             measured = window.predict_input(B_N, m_N, P_N, v_N, z_N, **values)
@@ -120,7 +126,7 @@ class InnovationGate(guard.Judge):
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
             y_measured, y_without = (
-                _innovation(outputs, z_N, m, s_N) for m, _ in (measured, without)
+                new_start.innovation(outputs, z_N, m, s_N) for m, _ in (measured, without)
             )
             agrees = _distance(y_measured, grown, has) <= limit  # 0 where it is NaN
             more = H @ (without[1] - measured[1]) @ H.T
@@ -128,13 +134,13 @@ class InnovationGate(guard.Judge):
             is_used = ca.logic_or(agrees, agrees_without)
             # m_N knows nothing of bounds; s_N follows from the last solution, which does.
             s, _ = window.predict_input(B_N, s_N, P_N, v_N, kept, **values)
-            y = _innovation(outputs, z_N, s, s_N)
-            can_restart = _fits(window, outputs, s, s_N, y)
+            y = new_start.innovation(outputs, z_N, s, s_N)
+            can_restart = new_start.fits(window, outputs, s, s_N, y)
             after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
             is_used = ca.logic_or(is_used, restart)
             rejected = _without(outputs, kept)
             z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
-            m, P = _anew(window, outputs, s_N, P_N, y, m_0, P_0)
+            m, P = new_start.anew(window, outputs, s_N, P_N, y, m_0, P_0)
             return dict(
                 z_used=z_used,
                 m_used=ca.if_else(restart, m, m_N),
@@ -154,48 +160,46 @@ class InnovationGate(guard.Judge):
         used = [is_valid_measurement(z_used[row], window.model.limits[row]) for row in rows]
         return dict(accepted=ca.vertcat(*used)) if used else {}
 
-    def conclude(self, window, verdict, result):
+    def conclude(self, window, given, verdict, result):
         """The window fails, too, where a variance is not positive or too large."""
         variances = ca.diag(result["covariance"])
         has_variances = ca.mmin(variances) > 0
         kept = result["ok"] * has_variances * (ca.mmax(variances) <= MAX_PLAUSIBLE_STATE)
-        flags = dict(ok=kept * verdict["agrees"], kept=kept, restart=kept * verdict["restart"])
+        ok = kept * verdict["agrees"]
+        restart = kept * verdict["restart"]
+        after = {name: value for name, value in verdict.items() if name.endswith("_after")}
+        if self.sees_half_turns(window):
+            is_seen = self.half_turn.is_seen(window, result, _quantile(1))
+            turned = self.half_turn.counted(window, given, is_seen)
+            ok *= 1 - is_seen
+            restart = ca.logic_or(restart, kept * self.half_turn.is_certain(window, turned))
+            after["turned_after"] = turned
         # A window that fails forgets: what its prediction left here may not be a number.
-        after = [f"{name}_after" for name in self.memory(window)]
-        return flags | {name: ca.if_else(kept, verdict[name], 0) for name in after}
+        after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
+        return dict(ok=ok, kept=kept, restart=restart) | after
 
     def build_restarted(self, window):
-        """The memory of a window that restarts at its newest sample, unless it goes on.
+        """The memory of a window that restarts at its newest sample, unless it goes on."""
 
-        Nearly always it goes on. Then the prediction of the restart is not computed.
-        """
-        interval = window.interval
-        outputs = self.outputs(window)
-        shapes = window.prediction | window.noise | window.pieces._asdict()
-        shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
-        shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.outputs), 1))
+        def where(s, values):
+            if not self.sees_half_turns(window):
+                return s
+            return self.half_turn.turned(window, s, values["turned_after"])
 
-        @short_cut("goes_on")
-        @casadi_function("restarted", ca.SX, **shapes)
-        def restarted(goes_on, B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_used, **values):
-            memory = {name: values[name] for name in window.pieces._fields}
-            noise = {name: values[name] for name in window.noise}
-            s, _ = window.predict_input(B_N, s_N, P_N, v_N, z_used, **noise)
-            y = _innovation(outputs, z_used, s, s_N)
-            m, P = _anew(window, outputs, s_N, P_N, y, m_0, P_0)
-            m, P = window.predict_input(B_N, m, P, v_N, z_used, **noise)
-            s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
-            for place, (lower, upper) in interval.bounds.items():
-                s[place] = ca.fmin(ca.fmax(s[place], lower), upper)
-            fresh = guard.fresh(window, memory, s, z_used, m, P)
-            return {name: ca.if_else(goes_on, memory[name], fresh[name]) for name in memory}
-
-        return restarted
+        after = {f"{name}_after": shape for name, shape in self.memory(window).items()}
+        return new_start.build(window, self.outputs(window), where, after)
 
 
 def patience(N):
     """Number of samples rejected in a row after which a window of N intervals restarts."""
     return max(TUNED.least_patience, TUNED.windows_of_patience * N)
+
+
+def _quantile(n):
+    """The value that a variable χ² with n degrees of freedom exceeds with the gate's share."""
+    from scipy.stats import chi2  # takes long to load, and importing the core should not
+
+    return float(chi2.isf(TUNED.share, n))
 
 
 def _with_inputs_as_before(interval, z, v, variances):
@@ -208,12 +212,6 @@ def _with_inputs_as_before(interval, z, v, variances):
         stays = (z[row] - v[place]) ** 2 <= 2 * variances[row]
         kept[row] = ca.if_else(stays, z[row], ca.DM.nan())
     return kept
-
-
-def _innovation(outputs, z, m, s_bar):
-    """y (n_y,) of these outputs, given their prediction by m (n_s,); 0 where none was measured."""
-    rows = [ca.if_else(each.is_valid(z), each.residual(z, m, s_bar), 0) for each in outputs]
-    return ca.vertcat(ca.SX(0, 1), *rows)
 
 
 def _distance(y, S, has):
@@ -261,47 +259,3 @@ def _without(outputs, z):
     for output in outputs:
         z[output.row] = ca.DM.nan()
     return z
-
-
-def _anew(window, outputs, s_N, P, y, m_0, P_0):
-    """Mean and covariance of the newest node before its measurement, where the window restarts.
-
-    Args:
-        window: The rhe.Window.
-        outputs: Those that are judged.
-        s_N: (n_s,) the prediction.
-        P: (n_s, n_s) its covariance.
-        y: (n_y,) their innovation.
-        m_0: (n_s,) first guess.
-        P_0: (n_s,) its variances.
-    """
-    m = ca.SX(s_N)
-    P = ca.SX(ca.densify(ca.if_else(is_plausible(P), P, 0)))
-    for name, bounds in window.model.parameters.items():
-        if bounds:
-            place = window.model.joint_names.index(name)
-            m[place] = m_0[place]
-            P[place, :] = 0
-            P[:, place] = 0
-    away = ca.sum2(_moves(outputs, s_N, y) ** 2)
-    return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
-
-
-def _moves(outputs, s_bar, y):
-    """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
-    columns = [ca.SX(s_bar.numel(), 0)]
-    for k, output in enumerate(outputs):
-        H = output.H(s_bar)
-        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))
-    return ca.horzcat(*columns)
-
-
-def _fits(window, outputs, m, s_bar, y):
-    """Whether what is measured lies within the bounds of states; a window cannot start beyond."""
-    measured = m + ca.sum2(_moves(outputs, s_bar, y))
-    names = window.model.joint_names
-    fits = ca.SX(1)
-    for name, (lower, upper) in (window.model.state_bounds or {}).items():
-        place = names.index(name)
-        fits *= (lower <= measured[place]) * (measured[place] <= upper)
-    return fits

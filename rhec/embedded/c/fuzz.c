@@ -102,7 +102,7 @@ int main(int argc, char **argv)
 {
     static struct rhec r;
     long steps = argc > 1 ? atol(argv[1]) : 1000000, done = 0;
-    long by_status[16] = {0}, storms = 0, lost = 0;
+    long by_status[16] = {0}, storms = 0, lost = 0, unnoticed = 0;
     state = argc > 2 ? strtoull(argv[2], NULL, 10) : 0;
     while (done < steps) {
         double guess[6];
@@ -130,13 +130,12 @@ int main(int argc, char **argv)
                 status = sample(&r, pose, i < length ? probability : 0, error);
                 by_status[status]++;
             }
-            if (status != 0 || error[0] > 0.5) {
-                lost++;
-            }
+            lost += status != 0 || error[0] > 0.5;
+            unnoticed += status == 0 && error[0] > 0.5;
         }
     }
-    printf("%ld samples, %ld storms, after %ld of them still lost 20 s later\n", done, storms,
-           lost);
+    printf("%ld samples, %ld storms, after %ld of them still lost, %ld with status 0, 20 s later\n",
+           done, storms, lost, unnoticed);
     printf("status,samples\n");
     for (int status = 0; status < 16; status++) {
         if (by_status[status]) {

@@ -1,0 +1,99 @@
+"""Where the window of an RHE starts anew: at its newest sample.
+
+That sample is then the only one of the window, and its arrival cost is the prediction, with more
+variance: that of the start, and y² in the direction of each output, for its innovation y. Bounded
+parameters begin anew from their first guess, because the wrong estimate may have driven them to a
+bound at which they stay. A window that is thought to be turned round is turned (`half_turn`).
+"""
+
+import casadi as ca
+
+from rhec.core._casadi.build import casadi_function, short_cut
+from rhec.core.estimator import guard, kalman
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
+
+_MAX_VARIANCE = MAX_PLAUSIBLE_STATE / 2  # in the direction of an output
+
+
+def build(window, outputs, where, after):
+    """The Function (goes_on, …) -> memory of a window that restarts, unless it goes on.
+
+    Nearly always it goes on. Then the prediction of the restart is not computed.
+
+    Args:
+        window: The rhe.Window.
+        outputs: Those that are judged.
+        where: (m, values) -> m, the mean (n_s,) of the arrival cost as the judge has it.
+        after: {name: shape} of the judge's memory after the sample, which is among the values.
+    """
+    interval = window.interval
+    shapes = window.prediction | window.noise | window.pieces._asdict() | after
+    shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
+    shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.outputs), 1))
+
+    @short_cut("goes_on")
+    @casadi_function("restarted", ca.SX, **shapes)
+    def restarted(goes_on, B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_used, **values):
+        memory = {name: values[name] for name in window.pieces._fields}
+        noise = {name: values[name] for name in window.noise}
+        s, _ = window.predict_input(B_N, s_N, P_N, v_N, z_used, **noise)
+        y = innovation(outputs, z_used, s, s_N)
+        m, P = anew(window, outputs, s_N, P_N, y, m_0, P_0)
+        m, P = window.predict_input(B_N, where(m, values), P, v_N, z_used, **noise)
+        s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
+        for place, (lower, upper) in interval.bounds.items():
+            s[place] = ca.fmin(ca.fmax(s[place], lower), upper)
+        fresh = guard.fresh(window, memory, s, z_used, m, P)
+        return {name: ca.if_else(goes_on, memory[name], fresh[name]) for name in memory}
+
+    return restarted
+
+
+def innovation(outputs, z, m, s_bar):
+    """y (n_y,) of these outputs, given their prediction by m (n_s,); 0 where none was measured."""
+    rows = [ca.if_else(each.is_valid(z), each.residual(z, m, s_bar), 0) for each in outputs]
+    return ca.vertcat(ca.SX(0, 1), *rows)
+
+
+def anew(window, outputs, s_N, P, y, m_0, P_0):
+    """Mean and covariance of the newest node before its measurement, where the window restarts.
+
+    Args:
+        window: The rhe.Window.
+        outputs: Those that are judged.
+        s_N: (n_s,) the prediction.
+        P: (n_s, n_s) its covariance.
+        y: (n_y,) their innovation.
+        m_0: (n_s,) first guess.
+        P_0: (n_s,) its variances.
+    """
+    m = ca.SX(s_N)
+    P = ca.SX(ca.densify(ca.if_else(is_plausible(P), P, 0)))
+    for name, bounds in window.model.parameters.items():
+        if bounds:
+            place = window.model.joint_names.index(name)
+            m[place] = m_0[place]
+            P[place, :] = 0
+            P[:, place] = 0
+    away = ca.sum2(_moves(outputs, s_N, y) ** 2)
+    return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
+
+
+def _moves(outputs, s_bar, y):
+    """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
+    columns = [ca.SX(s_bar.numel(), 0)]
+    for k, output in enumerate(outputs):
+        H = output.H(s_bar)
+        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))
+    return ca.horzcat(*columns)
+
+
+def fits(window, outputs, m, s_bar, y):
+    """Whether what is measured lies within the bounds of states; a window cannot start beyond."""
+    measured = m + ca.sum2(_moves(outputs, s_bar, y))
+    names = window.model.joint_names
+    fits = ca.SX(1)
+    for name, (lower, upper) in (window.model.state_bounds or {}).items():
+        place = names.index(name)
+        fits *= (lower <= measured[place]) * (measured[place] <= upper)
+    return fits
