@@ -121,8 +121,10 @@ def _tuned(title, log):
 def _middle(calibrations):
     """Geometric mean of several calibrations, without the lever arm, which belongs to one robot.
 
-    The side slip may be 0, so its mean is the arithmetic one.
+    Those that kept the defaults have no values. The side slip may be 0, so its mean is the
+    arithmetic one.
     """
+    calibrations = [each for each in calibrations if "sigma_v" in each]
     fields = {}
     for name in ("sigma_v", "sigma_w", "slip"):
         values = np.array([calibration[name] for calibration in calibrations])

@@ -166,7 +166,8 @@ def _taken(log, recording=None, track_width_m=None):
         for role, names in roles.items():
             columns = [recording.columns[name] for name in names if name in recording.rows]
             if columns:
-                rows[role] = ", ".join(dict.fromkeys(columns))
+                found = [*dict.fromkeys(columns), *([rows[role]] if role in rows else [])]
+                rows[role] = ", ".join(found)
         source = "as given" if track_width_m else "by the log's track speeds, or the paper's"
         rows["track width"] = f"{recording.track_width_m:.3g} m, {source}"
     return rows
