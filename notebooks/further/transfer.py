@@ -34,7 +34,7 @@ from rhec.logs.replay import predictor
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
 from rhec.tracked_robot import slipping
 
-__all__ = ["table", "trials"]
+__all__ = ["table", "trials", "trials_with_gyro"]
 
 _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
@@ -140,13 +140,24 @@ def _row(log, estimator, tuned, seed, samples, ahead_m):
     return about | {name: values.get(name, np.nan) for name in _SCORES}
 
 
-def _trials_of_rhe(log, noisy, fields, seed):
+def _trials_of_rhe(log, noisy, fields, seed, name="RHE"):
     """Rows of the RHE on a noisy log, also smoothed; fields: {way of tuning: its numbers}."""
     return [
-        _row(log, name, tuned, seed, *_rhe(noisy, numbers, smooth))
-        for name, smooth in (("RHE", False), ("RHE, smoothed", True))
+        _row(log, title, tuned, seed, *_rhe(noisy, numbers, smooth))
+        for title, smooth in ((name, False), (f"{name}, smoothed", True))
         for tuned, numbers in fields.items()
     ]
+
+
+def trials_with_gyro(logs, seeds):
+    """Rows as of `trials`, of the RHE on those logs that have a gyro."""
+    rows = []
+    for name, log in logs.items():
+        if {*_SENSORS} & {*log}:
+            fields = dict(itself=dict(calibrate(_noisy(log, _TUNING_SEED))), shipped={})
+            for seed in seeds:
+                rows += _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
+    return pd.DataFrame(rows)
 
 
 def _trials_of_rivals(log, noisy, sigmas, rest, seed):
@@ -207,7 +218,8 @@ if __name__ == "__main__":
     if len(files) < 2:
         expected = "it should have two or more: python data/fetch_recordings.py fetches four"
         sys.exit(f"{folder} has {len(files)} logs; {expected}")
-    result = trials({file.stem: pd.read_csv(file) for file in files}, range(n))
+    logs = {file.stem: pd.read_csv(file) for file in files}
+    result = pd.concat([trials(logs, range(n)), trials_with_gyro(logs, range(n))])
     out = Path("build/replay")
     out.mkdir(parents=True, exist_ok=True)
     result.to_csv(out / "transfer.csv", index=False)

@@ -4,7 +4,6 @@ import pytest
 
 import rhec
 from notebooks.further import faults, recorded_logs
-from notebooks.further.recorded import scores
 from rhec.style import ROOT
 
 LOG = ROOT / "data/example_log.csv"
@@ -35,17 +34,6 @@ def test_the_papers_estimators_have_the_noise_that_was_asked_for():
     assert noises == {"soft_soil"}
     for arguments in likeliest.values():
         rhec.Scenario(**arguments)
-
-
-def test_faults_of_a_log_are_scored(log):
-    samples = scores.perturbed_replay(log, 0, **FLAT)
-    cases = recorded_logs.fault_cases(samples)
-    few = {name: cases[name] for name in ("none", "outliers")}
-    rows = recorded_logs.fault_scores(log, few, 1, **FLAT)
-    means = recorded_logs.fault_means(rows)
-    assert [*means.index] == [*few]
-    worst_m = means["worst_position_m"]
-    assert worst_m["none"] < worst_m["outliers"] and (means["outside"] == 0).all()
 
 
 @pytest.mark.nightly

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from text_boxes import text_defects
 
-from notebooks.further import recorded_logs_plots, your_robot
+from notebooks.further import your_robot
 from notebooks.plots import interpretations
 from rhec import style
 
@@ -60,17 +60,7 @@ def interpretations_table(sigma_x_m):
     return pd.DataFrame(dict(sigma_x_m=sigma_x_m, **gains, sigma_yaw_rad=0.1 / sigma_x_m))
 
 
-def replay_faults():
-    names = ("no GNSS for 5 s", "left encoder dead for 20 s", "outliers of 2 m")
-    rows = [
-        dict(fault=name, seed=seed, worst_position_m=size, worst_yaw_rad=size / 3)
-        for name in names
-        for seed, size in enumerate(10 ** RNG.uniform(-2, 0.5, 3))
-    ]
-    return recorded_logs_plots.replay_faults(pd.DataFrame(rows))
-
-
-DRAWN = (positions, parameters, commands, tolerances, ekf_yaw, replay_faults)
+DRAWN = (positions, parameters, commands, tolerances, ekf_yaw)
 
 
 @pytest.mark.nightly(keep=1)
