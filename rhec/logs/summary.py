@@ -33,8 +33,8 @@ _HONEST = 0.95  # share of hidden positions within their 95 %
 _BY_CHANCE = 0.05  # a share that is less likely than this is not by chance
 _ASKED = (
     "If you know them, give the distance of the tracks (--track-width-m), the radius of wheels "
-    "whose speeds are in rad/s (--wheel-radius-m), and, where the driver has multiplied the "
-    "distance, the speeds of the tracks instead of its yaw rate (--columns)."
+    "whose speeds are in rad/s (--wheel-radius-m), and the factor by which the driver has already "
+    "multiplied the distance (--wheel-separation-multiplier)."
 )
 
 
@@ -199,8 +199,8 @@ def _verdict(recording, traction, comparison, smoothed):
         )
     if traction.loc["κ", "value"] > 1:
         doubts.append(
-            "κ is above 1, so the driver has already corrected the yaw rate: give the track speeds "
-            "and the geometric track_width_m"
+            "κ is above 1, so the driver has already corrected the yaw rate: give its "
+            "wheel_separation_multiplier (--wheel-separation-multiplier)"
         )
     if doubts:
         return f"Do not trust it yet: {'; '.join(doubts)}."
