@@ -7,7 +7,7 @@ estimation (MHE) and model predictive control (MPC) for any robot.
 One run          Scenario, simulate, Run               The world    Path, Terrain, Fault, WORLDS
 Parts of a run   Estimator, Controller
 Many runs        campaign, batch                       Any robot    Model, RHE, RHC, EKF, Bound
-A recorded log   logs.read, doctor, calibrate, replay  Its path     PathTracker
+A recorded log   log, doctor, calibrate, replay        Its path     PathTracker
 On a robot       export                                In Jupyter   Explorer
 """
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rhec.logs.calibration import calibrate as calibrate
     from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
+    from rhec.logs.summary import log as log
     from rhec.own_loop import RHC as RHC
     from rhec.own_loop import RHE as RHE
     from rhec.simulation.campaigns.campaign import campaign as campaign
@@ -63,6 +64,7 @@ _HOME = {
     "campaign": "simulation.campaigns.campaign",
     "doctor": "logs.doctor",
     "export": "embedded",
+    "log": "logs.summary",
     "logs": "logs",  # a module, shown whole
     "replay": "logs.replay",
     "simulate": "simulation.simulate",

@@ -354,45 +354,40 @@ def _read(file, given):
     return log
 
 
-def log(file: str, /, *, folder: Path | None = None, overwrite: _Flag = False, **given: Any):
+def log(file: str, /, *, output: Path | None = None, overwrite: _Flag = False, **given: Any):
     """Say what a recorded log tells of its robot, and whether to trust it.
 
     For example: rhec log drive.csv
 
     Args:
         file: A .csv, .parquet or bag of a recorded robot.
-        folder: Write the tables of the smoothed estimates, too, as rhec replay does.
+        output: Folder for summary.txt, comparison.csv, log.png, robot.yaml for ROS, and the tables
+            and paths of rhec replay.
         overwrite: Replace files of these names.
     """
-    from rhec.logs.summary import summarise
+    from rhec.logs.outputs import FILES, FILES_OF_SUMMARY, write_estimates, write_summary
 
-    if folder:
-        _refuse_tables(folder, overwrite)
+    if output:
+        _refuse_tables("output", output, overwrite, (*FILES, *FILES_OF_SUMMARY))
     recorded = _log_of(file, given)
-    summary = summarise(recorded, **_given_to(summarise, given))
+    arguments = _given_to(rhec.log, given)
+    summary = rhec.log(recorded, **arguments)
     print(summary)
-    if folder and summary.samples is not None:
-        from rhec.logs.outputs import write_estimates
+    if summary.samples is None:
+        return 1
+    if output:
+        write_summary(summary, output)
+        write_estimates(rhec.replay(recorded, **arguments), output)
+    return 0
 
-        write_estimates(rhec.replay(recorded, **_given_to(summarise, given)), folder)
-    return 0 if summary.samples is not None else 1
 
-
-def _refuse_tables(folder, overwrite):
-    """Raise a ValueError if the tables of a replay cannot be written into this folder."""
-    from rhec.logs.outputs import FILES
-
+def _refuse_tables(option, folder, overwrite, files):
+    """Raise a ValueError if files of these names cannot be written into this folder."""
     if folder.is_dir():
-        for name in FILES:
-            _refuse_output("folder", folder / name, overwrite)
+        for name in files:
+            _refuse_output(option, folder / name, overwrite)
     elif os.path.lexists(folder):
-        raise ValueError(f"--folder was {str(folder)!r}, which is no folder")
-
-
-def _log_options():
-    from rhec.logs.summary import summarise
-
-    return [*_reading(), *_options_of(summarise, _ROBOT)]
+        raise ValueError(f"--{option} was {str(folder)!r}, which is no folder")
 
 
 def doctor(file: str, /, *, as_json: _Json = False, **given: Any):
@@ -459,11 +454,11 @@ def replay(
         overwrite: Replace files of these names.
         estimator: "rhe", "ekf", …: see help(rhec.replay).
     """
-    from rhec.logs.outputs import write_estimates
+    from rhec.logs.outputs import FILES, write_estimates
     from rhec.logs.replay import ESTIMATOR_FIELDS
 
     folder = folder or Path(f"{Path(file).stem}-replay")
-    _refuse_tables(folder, overwrite)
+    _refuse_tables("folder", folder, overwrite, FILES)
     arguments = _given_to(rhec.replay, given)
     arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
     log = _read(file, given)
@@ -543,7 +538,7 @@ def lab():
 _COMMANDS = {
     simulate: _fields,
     campaign: list,
-    log: _log_options,
+    log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
     doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
     calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
     replay: _replay_options,

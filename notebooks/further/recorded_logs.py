@@ -1,10 +1,9 @@
 """A recorded log through the paper's estimators and the default one: as it is, and made harder.
 
-The harder replays add white noise to the positions, an error to the first yaw and faults to the
-sensors (`notebooks.further.recorded.scores`). Their scores are means over noise seeds.
+The harder replays add white noise to the positions and an error to the first yaw
+(`notebooks.further.recorded.scores`). Their scores are means over noise seeds.
 """
 
-import functools
 import itertools
 
 import numpy as np
@@ -12,18 +11,8 @@ import pandas as pd
 
 from notebooks.further.recorded import scores
 from notebooks.studies.statistics import over_seeds
-from rhec.simulation.faults import Fault
 
-__all__ = [
-    "AUGMENTED",
-    "estimators",
-    "fault_cases",
-    "fault_means",
-    "fault_scores",
-    "replay_table",
-    "trials",
-    "write_scores",
-]
+__all__ = ["AUGMENTED", "estimators", "of_the_log", "replay_table", "trials", "write_scores"]
 
 AUGMENTED = "augmented EKF"
 
@@ -45,10 +34,11 @@ _QUANTITIES = dict(
 )
 # Arguments of `rhec.replay` that belong to the log, and hold for every estimator.
 _OF_THE_LOG = ("track_width_m", "position_delay_s", "trust_log")
-_FAULT_START_S = 60.0
-_FAULT_DURATION_S = 10.0
-_MOST_FAULT_SEEDS = 3  # a replay for each fault, handling and seed takes long
-_FAULT_SCORES = ["worst_position_m", "worst_yaw_rad", "last_yaw_rad", "outside", "not_ok"]
+
+
+def of_the_log(replaying):
+    """Those arguments of a replay that belong to the log, as `rhec.log` takes them."""
+    return {name: replaying[name] for name in _OF_THE_LOG if name in replaying}
 
 
 def estimators(process_noise, of_the_rhe):
@@ -57,7 +47,7 @@ def estimators(process_noise, of_the_rhe):
     The W of the others is "printed" or "likelihood". Soil under recorded robots slips more than
     that of the default world, so the latter is the likeliest one on softer soil.
     """
-    of_the_log = {name: of_the_rhe[name] for name in _OF_THE_LOG if name in of_the_rhe}
+    given = of_the_log(of_the_rhe)
     noise = dict(process_noise="printed" if process_noise == "printed" else "soft_soil")
     papers = {
         "RHE, ν as input": dict(speed_model="input"),
@@ -65,7 +55,7 @@ def estimators(process_noise, of_the_rhe):
         "EKF": dict(estimator="ekf"),
         AUGMENTED: dict(estimator="augmented_ekf"),
     }
-    return {"RHE": of_the_rhe} | {name: of_the_log | noise | of for name, of in papers.items()}
+    return {"RHE": of_the_rhe} | {name: given | noise | of for name, of in papers.items()}
 
 
 def trials(log, seeds, estimators, **perturbation):
@@ -88,46 +78,12 @@ def replay_table(trials):
     return pd.DataFrame(rows)
 
 
-def fault_cases(samples):
-    """{name: Fault}, from the first time after 60 s at which the robot of a replay keeps moving.
-
-    The first case has no fault.
-    """
-    start_s = scores.while_moving(samples, _FAULT_START_S, _FAULT_DURATION_S)
-    fault = functools.partial(Fault, start_s=start_s, duration_s=_FAULT_DURATION_S)
-    return {
-        "none": Fault(kind="missing", start_s=start_s, duration_s=0.0),
-        "no position": fault(kind="missing"),
-        "no reading at all": fault(kind="infinite", channel="all"),
-        "outliers": fault(kind="outliers", size_m=2.0),
-        "jump": fault(kind="jump", size_m=2.0),
-        "position stuck": fault(kind="stuck"),
-        "latency": fault(kind="latency", delay_s=0.4),
-        "low rate": fault(kind="rate", rate_hz=1.0),
-        "samples twice": fault(kind="duplicates", channel="all"),
-        "samples out of order": fault(kind="disorder", channel="all"),
-        "left encoder dead": fault(kind="dead", channel="left"),
-        "encoders dead": fault(kind="dead", channel="encoders"),
-    }
-
-
-def fault_scores(log, cases, seeds, **arguments):
-    """Scores of the RHE with each fault, on a few seeds."""
-    return scores.fault_scores(log, cases, range(min(seeds, _MOST_FAULT_SEEDS)), **arguments)
-
-
-def fault_means(rows):
-    """Means of `fault_scores` over noise seeds, one row a fault."""
-    groups = rows.groupby("fault", sort=False)
-    return groups[_FAULT_SCORES].mean().round(3)
-
-
-def write_scores(table, remarks, folder):
-    """Write scores.txt: the RHE's means of `replay_table`, then the remarks of a replay."""
+def write_scores(table, folder):
+    """Write scores.txt: the RHE's means of `replay_table`."""
     rows = table[table["estimator"] == "RHE"]
     lines = [
         f"{row.quantity}: {row.mean:.4g} [{row.low:.4g}, {row.high:.4g}]"
         for row in rows.itertuples()
     ]
     title = f"RHE, mean and 95 % interval over {rows['n'].max()} noise seeds:"
-    (folder / "scores.txt").write_text("\n".join([title, *lines, *remarks, ""]), encoding="utf-8")
+    (folder / "scores.txt").write_text("\n".join([title, *lines, ""]), encoding="utf-8")

@@ -11,9 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from notebooks.further.recorded import scores
-from notebooks.plots.parts import DOTS, legend_above, log_axis, note, panels_beside, time_axis
+from notebooks.plots.parts import DOTS, legend_above, log_axis, note, time_axis
 from notebooks.studies.tables import interval_text
-from rhec.logs.remarks import UNSURE_YAW_RAD
 from rhec.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
@@ -53,58 +52,6 @@ def _time_axis(axes, samples):
     straight = (turning.median() < _STRAIGHT_RADPS) & (samples["segment"].diff(-1) == 0)
     shaded = f"straight or standing, below {_STRAIGHT_RADPS} rad/s"
     time_axis(axes, samples["t_s"], straight, shaded)
-
-
-@styled
-def replay_log(samples, title):
-    """Draw the samples of a replay: positions in the plane, and encoder measurements over time."""
-    mosaic = [["plane", "speed"], ["plane", "yaw rate"]]
-    size = (DOUBLE_IN, 2.6)
-    figure, panels = plt.subplot_mosaic(mosaic, figsize=size, width_ratios=(1, 2))
-    plane, speed, yaw_rate = (panels[name] for name in ("plane", "speed", "yaw rate"))
-    measured = dict(color=COLOURS["measured"])
-    truth = dict(color=COLOURS["truth"], linewidth=0.5)
-    look = dict(marker=".", linestyle="none", markersize=1.5, label="measured")
-    plane.plot(samples["x_meas_m"], samples["y_meas_m"], **look, **measured)
-    if {"x_m", "y_m"} <= set(samples):
-        plane.plot(*_broken(samples, "x_m", "y_m"), label="truth", **truth)
-    plane.legend()
-    plane.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
-    for axes, measurement, true, label in [
-        (speed, "nu_meas_mps", "v_true_mps", "speed [m/s]"),
-        (yaw_rate, "omega_meas_radps", "yaw_rate_true_radps", "yaw rate [rad/s]"),
-    ]:
-        values = _broken(samples, "t_s", measurement)
-        axes.plot(*values, linewidth=0.8, label="encoders", **measured)
-        if true in samples:
-            axes.plot(*_broken(samples, "t_s", true), label="truth, over ground", **truth)
-        axes.set_ylabel(label)
-    _time_axis([speed, yaw_rate], samples)
-    speed.sharex(yaw_rate)
-    speed.tick_params(labelbottom=False)
-    legend_above(speed)
-    plane.set_title(title.replace("$", r"\$"))  # a file's name is no formula
-    return figure
-
-
-@styled
-def replay_path(estimates, title):
-    """Draw the measured path and that of `rhec.replay`, black where the yaw is unknown."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 3.6))
-    x = "x_hat_m"
-    y = "y_hat_m"
-    look = dict(marker=".", linestyle="none", color=COLOURS["measured"])
-    axes.plot(estimates["x_meas_m"], estimates["y_meas_m"], **look, markersize=2, label="measured")
-    axes.plot(*_broken(estimates, x, y), color=COLOURS["RHE"], linewidth=0.8, label="estimated")
-    is_unsure = estimates["sigma_theta_rad"] > UNSURE_YAW_RAD
-    if is_unsure.any():
-        unsure = estimates.assign(**{name: estimates[name].where(is_unsure) for name in (x, y)})
-        axes.plot(*_broken(unsure, x, y), color="black", linewidth=1.5, label="yaw unknown")
-    axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]", aspect="equal", adjustable="datalim")
-    legend_above(axes)
-    rows = f"{estimates['x_meas_m'].notna().sum()} positions in {len(estimates)} rows"
-    axes.set_title(f"{title}: {rows}".replace("$", r"\$"))
-    return figure
 
 
 @styled
@@ -174,20 +121,6 @@ def replay_traction(replays, first):
 
 
 @styled
-def replay_innovations(replays):
-    """Draw the distances of measured from predicted positions over time, a panel per estimator."""
-    figure, panels = _rows(len(replays), 1.0, sharey=True)
-    for axes, (name, samples) in zip(panels, replays.items()):
-        length = np.hypot(samples["innovation_x_m"], samples["innovation_y_m"])
-        axes.semilogy(samples["t_s"], length, ".", markersize=1.2, color=_COLOURS.get(name))
-        rms = f"RMS {scores.score(samples)['innovation_rms_m']:.3f} m after {scores.FROM_M:.0f} m"
-        axes.set(title=f"{name}: {rms}", ylabel="innovation [m]")
-        axes.minorticks_off()
-    _time_axis(panels, samples)
-    return figure
-
-
-@styled
 def replay_trials(trials, table, title):
     """Draw the RMS error of the yaw of each estimator: a dot per noise seed, mean, 95 % interval.
 
@@ -211,31 +144,4 @@ def replay_trials(trials, table, title):
     title = title.replace("$", r"\$")
     axes.set_title(f"{title}: {mean['n']} noise seeds (dots), mean and 95 % interval")
     axes.set_xlabel("RMS yaw error [rad], logarithmic")
-    return figure
-
-
-@styled
-def replay_faults(table):
-    """Draw the largest position and yaw errors after each fault began.
-
-    Dots are noise seeds, bars their means.
-    """
-    names = table["fault"].unique()
-    figure, panels = panels_beside(2, 0.6 + 0.26 * len(names))
-    for axes, column, label in [
-        (panels[0], "worst_position_m", "largest position error [m]"),
-        (panels[1], "worst_yaw_rad", "largest yaw error [rad]"),
-    ]:
-        for place, name in enumerate(names):
-            values = table.loc[table["fault"] == name, column]
-            look = dict(color=COLOURS["RHE"])
-            axes.plot(values, np.full(len(values), place), **DOTS, markersize=2, alpha=0.5, **look)
-            axes.plot(values.mean(), place, "|", markersize=8, **look)
-        log_axis(axes.xaxis)
-        axes.set_xlabel(f"{label}, logarithmic")
-        axes.grid(axis="y", visible=False)
-    seeds = table["seed"].nunique()
-    panels[0].set_title(f"{seeds} noise seeds: a dot each, their mean a bar")
-    panels[0].set_yticks(range(len(names)), names)
-    panels[0].set_ylim(len(names) - 0.5, -0.5)
     return figure

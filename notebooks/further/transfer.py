@@ -5,7 +5,7 @@ noise seed; the first metres do not count (`notebooks.further.recorded.scores`).
 tuned without truth, with a noise seed that no trial has: on the same log, or on the others, in the
 geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
 (`tuning.SLIP`). Its rivals are an EKF with (μ, κ) as states and one with the five parameters of
-`notebooks.further.icr`, both with noise in proportion to the inputs. They are tuned by the
+`rhec.logs.rivals`, both with noise in proportion to the inputs. They are tuned by the
 likelihood of their innovations, with the same number of evaluations for each unknown as in
 `notebooks.studies.calibration`.
 
@@ -15,42 +15,26 @@ prints the table of docs/recorded_robots.md, from the logs in data/recordings, w
 `python data/fetch_recordings.py` fetches.
 """
 
-import dataclasses
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from notebooks.further.icr import ICR
 from notebooks.further.recorded import scores
 from notebooks.studies.calibration import search
 from notebooks.studies.statistics import over_seeds
 from notebooks.studies.tables import interval_text
 from rhec import paper
-from rhec.core import runner
-from rhec.core._casadi import compiled
-from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import ekf
 from rhec.core.estimator.base import noise_of
-from rhec.core.model.base import Model
+from rhec.logs import rivals
 from rhec.logs.calibration import calibrate
-from rhec.logs.recording import prepare, resample
+from rhec.logs.recording import prepare
 from rhec.logs.replay import predictor
-from rhec.simulation.columns import (
-    ESTIMATE,
-    INNOVATION,
-    LEVER_ARM,
-    MEASUREMENTS,
-    RECORDED_SENSORS,
-    SIGMA,
-)
+from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
 from rhec.tracked_robot import slipping
-from rhec.tracked_robot.kinematics import SPEED_MODELS as OF_THE_PAPER
 
-__all__ = ["table", "trials"]
+__all__ = ["table", "trials", "trials_with_gyro"]
 
 _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
@@ -78,134 +62,69 @@ def _noisy(log, seed):
     return log.assign(x_m=log["x_m"] + x, y_m=log["y_m"] + y)
 
 
-def _rhe(log, fields):
+def _rhe(log, fields, smooth):
     """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
-    options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True)
+    options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True, smooth=smooth)
     samples = scores.perturbed_replay(log, 0, **options, **fields)
     return samples, scores.ahead_rms_m(samples, predictor(_SLIPPING), [*ESTIMATE, *LEVER_ARM])
 
 
-class _Rival(NamedTuple):
-    """An EKF to be tuned."""
-
-    model: Model
-    settings: Callable  # (sigma) -> the noises V, W (and c)
-    unknowns: list  # for each unknown of the search, the places in sigma that it sets
-    guess: Callable  # (half the track width) -> the parameters' first guess, standard deviations
-
-    @property
-    def measured(self):
-        """Columns of what its model measures."""
-        return [*MEASUREMENTS[:3], MEASUREMENTS[3] if self.model is _TRACTION else "delta_mps"]
-
-    @property
-    def hats(self):
-        """Columns of the estimates of its model's states and parameters."""
-        return [f"hat_{name}" for name in self.model.names]
-
-
-def _traction_settings(sigma):
-    """Noises of the EKF of (μ, κ)."""
-    return noise_of(_TRACTION, sigma[:4], sigma[4:9]) | dict(c=np.array(sigma[9:11]))
-
-
-def _icr_settings(sigma):
-    """Noises of the EKF of five ICR parameters, which has no noise of the position."""
-    noise = noise_of(ICR, sigma[:4], (0.0, 0.0, *sigma[4:10]))
-    return noise | dict(c=np.array(sigma[10:12]))
-
-
-def _of_inputs(model):
-    """The Model with noise in proportion to its inputs, as the ICR's, beside the constant W."""
-    return dataclasses.replace(model, motion_noise=ICR.motion_noise)
-
-
-_TRACTION = _of_inputs(OF_THE_PAPER["input"].model)
-_RIVALS = {
-    "EKF of (μ, κ)": _Rival(
-        _TRACTION,
-        _traction_settings,
-        [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)],
-        lambda half: ([1.0, 1.0], [0.25, 0.25]),
-    ),
-    "EKF of five ICR parameters": _Rival(
-        ICR,
-        _icr_settings,
-        [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)],
-        lambda half: ([half, -half, 0.0, 1.0, 1.0], [half, half, 0.1, 0.25, 0.25]),
-    ),
+# What is searched of each rival: its noise by sigma, and for each unknown the places that it sets.
+_SEARCHED = {
+    "EKF of (μ, κ)": (9, [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)]),
+    # It has no noise of the position.
+    "EKF of ICR": (10, [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)]),
 }
 
 
-def _build_rival(model):
-    """The scan of a Model's EKF."""
-    step = ekf.build(model, paper.DT_S)["step"]
-    return runner.build_recorded(step, ["estimate", "covariance", "deviance"])
+def _settings(title, sigma):
+    """Noises V, W and c of a rival."""
+    n, _ = _SEARCHED[title]
+    model = rivals.RIVALS[title].model
+    of_place = (0.0, 0.0) if model is rivals.ICR else ()
+    noise = noise_of(model, sigma[:4], (*of_place, *sigma[4:n]))
+    return noise | dict(c=np.array(sigma[n : n + 2]))
 
 
-def _parts(log):
-    """Half the track width, and each segment's samples with what the rivals measure."""
-    recording = prepare(log)
-    parts = []
-    half = recording.track_width_m / 2
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
-        part["delta_mps"] = half * part["omega_meas_radps"]
-        parts.append(part)
-    return half, parts
+def _filtered(title, half_m, part, sigma):
+    """Samples of a rival on one segment."""
+    yaw_rad = part["theta_rad"].iloc[0] + _YAW_ERROR_RAD
+    settings = _settings(title, sigma)
+    return rivals.run(rivals.RIVALS[title], settings, part, half_m, yaw_rad)
 
 
-def _filtered(rival, half, part, sigma):
-    """What a rival's filter records on one segment's samples, as {name: array}."""
-    z = part[rival.measured].to_numpy()
-    # Standard deviations of the first guess: 1 m, 0.3 rad, and the rival's parameters.
-    first = z[np.isfinite(z[:, :2]).all(axis=1)][0]
-    guess, spread = rival.guess(half)
-    m = np.array([*first[:2], part["theta_rad"].iloc[0] + _YAW_ERROR_RAD, *guess])
-    P = np.diag(np.square([1.0, 1.0, 0.3, *spread]))
-    memory = pack_array(dict(m=m, P=P, v=np.zeros(len(rival.model.inputs)), started=0.0))
-    functions = compiled.load(_build_rival, rival.model)
-    return runner.record(functions, memory, z, rival.settings(sigma))
-
-
-def _rival(rival, half, parts, sigma):
+def _rival(title, half_m, parts, sigma):
     """Samples of a rival, and how far off their predictions 2 s ahead are [m]."""
-    estimated = []
-    for part in parts:
-        recorded = _filtered(rival, half, part, sigma)
-        estimate = recorded["estimate"]
-        deviation = np.sqrt(np.diagonal(recorded["covariance"], axis1=1, axis2=2))
-        hats = pd.DataFrame(estimate, columns=rival.hats)
-        pose = dict(zip(ESTIMATE[:3], estimate.T)) | dict(zip(SIGMA[:3], deviation.T))
-        estimated.append(part.assign(**pose, **hats))
-    samples = pd.concat(estimated, ignore_index=True)
-    # Scores expect all columns of a replay; a rival has neither innovations nor, as an ICR, (μ, κ).
-    unknown = [*ESTIMATE[3:], *INNOVATION]
-    samples = samples.assign(**dict.fromkeys(unknown, np.nan), ok=True)
-    if rival.model is _TRACTION:
-        samples[ESTIMATE[4:]] = samples[["hat_mu", "hat_kappa"]]
+    samples = pd.concat(
+        [_filtered(title, half_m, part, sigma) for part in parts], ignore_index=True
+    ).assign(ok=True)
+    rival = rivals.RIVALS[title]
     predict = predictor(rival.model, rival.model.names)
     return samples, scores.ahead_rms_m(samples, predict, rival.hats, rival.measured)
 
 
-def _tuned(rival, log):
+def _tuned(title, log):
     """The rival's sigma that makes a log's measurements likeliest, from where scores count."""
-    half, parts = _parts(log)
+    recording = prepare(log)
+    half_m = recording.track_width_m / 2
+    parts = rivals.parts_of(recording)
     counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
 
     def objective(sigma):
-        deviances = (_filtered(rival, half, part, sigma)["deviance"] for part in parts)
+        deviances = (_filtered(title, half_m, part, sigma)["deviance"] for part in parts)
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
-    return search(objective, rival.unknowns)[0]
+    return search(objective, _SEARCHED[title][1])[0]
 
 
 def _middle(calibrations):
     """Geometric mean of several calibrations, without the lever arm, which belongs to one robot.
 
-    The side slip may be 0, so its mean is the arithmetic one.
+    Those that kept the defaults have no values. The side slip may be 0, so its mean is the
+    arithmetic one.
     """
+    calibrations = [each for each in calibrations if "sigma_v" in each]
     fields = {}
     for name in ("sigma_v", "sigma_w", "slip"):
         values = np.array([calibration[name] for calibration in calibrations])
@@ -221,21 +140,36 @@ def _row(log, estimator, tuned, seed, samples, ahead_m):
     return about | {name: values.get(name, np.nan) for name in _SCORES}
 
 
-def _trials_of_rhe(log, noisy, fields, seed):
-    """Rows of the RHE on a noisy log; fields: {way of tuning: its numbers}."""
+def _trials_of_rhe(log, noisy, fields, seed, name="RHE"):
+    """Rows of the RHE on a noisy log, also smoothed; fields: {way of tuning: its numbers}."""
     return [
-        _row(log, "RHE", tuned, seed, *_rhe(noisy, numbers)) for tuned, numbers in fields.items()
+        _row(log, title, tuned, seed, *_rhe(noisy, numbers, smooth))
+        for title, smooth in ((name, False), (f"{name}, smoothed", True))
+        for tuned, numbers in fields.items()
     ]
+
+
+def trials_with_gyro(logs, seeds):
+    """Rows as of `trials`, of the RHE on those logs that have a gyro."""
+    rows = []
+    for name, log in logs.items():
+        if {*_SENSORS} & {*log}:
+            fields = dict(itself=dict(calibrate(_noisy(log, _TUNING_SEED))), shipped={})
+            for seed in seeds:
+                rows += _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
+    return pd.DataFrame(rows)
 
 
 def _trials_of_rivals(log, noisy, sigmas, rest, seed):
     """Rows of the rivals on a noisy log; sigmas: {rival: {log: its sigma}}, rest: other logs."""
-    half, parts = _parts(noisy)
+    recording = prepare(noisy)
+    half_m = recording.track_width_m / 2
+    parts = rivals.parts_of(recording)
     rows = []
-    for title, rival in _RIVALS.items():
+    for title in _SEARCHED:
         others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
         for tuned, sigma in (("itself", sigmas[title][log]), ("others", tuple(others))):
-            rows.append(_row(log, title, tuned, seed, *_rival(rival, half, parts, sigma)))
+            rows.append(_row(log, title, tuned, seed, *_rival(title, half_m, parts, sigma)))
     return rows
 
 
@@ -248,8 +182,7 @@ def trials(logs, seeds):
     training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
     numbers = {name: dict(calibrate(log)) for name, log in training.items()}
     sigmas = {
-        title: {name: _tuned(rival, log) for name, log in training.items()}
-        for title, rival in _RIVALS.items()
+        title: {name: _tuned(title, log) for name, log in training.items()} for title in _SEARCHED
     }
     rows = []
     for name, log in logs.items():
@@ -285,7 +218,8 @@ if __name__ == "__main__":
     if len(files) < 2:
         expected = "it should have two or more: python data/fetch_recordings.py fetches four"
         sys.exit(f"{folder} has {len(files)} logs; {expected}")
-    result = trials({file.stem: pd.read_csv(file) for file in files}, range(n))
+    logs = {file.stem: pd.read_csv(file) for file in files}
+    result = pd.concat([trials(logs, range(n)), trials_with_gyro(logs, range(n))])
     out = Path("build/replay")
     out.mkdir(parents=True, exist_ok=True)
     result.to_csv(out / "transfer.csv", index=False)

@@ -28,7 +28,8 @@ from rhec.logs.calibrated import (
     posterior_covariance,
     report,
 )
-from rhec.logs.checks import refuse
+from rhec.logs.checks import facts, refuse
+from rhec.logs.comparison import HIDDEN_S, hidden_errors
 from rhec.logs.filtering import Loss
 from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
@@ -83,9 +84,7 @@ _LATE_S = 0.1  # a larger one is worth a remark
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
-# Held out to compare a calibration with the defaults: positions of _OUTAGE_S in every _EVERY_S.
-_OUTAGE_S = 10.0
-_EVERY_S = 30.0
+# Hidden positions compare a calibration with the defaults; fewer tell nothing.
 _LEAST_OUTAGES = 6
 _WORSE = 1.05
 _LEAST_ERROR_M = 0.01  # smaller errors are those of the positions themselves
@@ -339,22 +338,30 @@ def calibrate(
     result.update({name: value for name, value in arguments.items() if value})
     result.report = _report(x, deviation, arm, sigma_arm, robot.sensors)
     delay = _delay(at_stamps, position_delay_s, (x, yaws, robot))
-    result.terms = _terms(result, recording, yaws, last, delay, declared_m)
-    result.yaml = terms.as_yaml(result.terms, robot.width_m, result["sigma_v"])
-    result.remarks = []
+    samples = _replayed(recording, result, yaws, smooth=True)
+    result.terms = _terms(result, recording, samples, last, delay, declared_m)
+    rate_hz = facts(recording)["encoders_hz"]
+    result.yaml = terms.as_yaml(result.terms, robot.width_m, terms.noise(samples), rate_hz)
+    result.remarks = _remarks(wanders, delay, position_delay_s)
+    _keep_better(result, recording, yaws)
+    return result
+
+
+def _remarks(wanders, delay, position_delay_s):
+    """Sentences on how the positions were used, and how late they are."""
+    remarks = []
     if wanders:
-        result.remarks.append(
+        remarks.append(
             f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
             "apart."
         )
     delay_s, sigma_s = delay
     if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
-        result.remarks.append(
+        remarks.append(
             f"The positions come {delay_s:.2f} ± {1.96 * sigma_s:.2f} s after the encoder speeds: "
             f"calibrate and replay with position_delay_s={delay_s:.2f}."
         )
-    _keep_better(result, recording, yaws)
-    return result
+    return remarks
 
 
 def _with_model(log, model, delays_s, arguments, of_robot):
@@ -474,9 +481,8 @@ def _replayed(recording, arguments, yaws, smooth=False):
     return estimate_samples(recording, scenario, first, smooth=smooth)
 
 
-def _terms(result, recording, yaws, last, delay, declared_m):
-    """The terms of a Calibration."""
-    samples = _replayed(recording, result, yaws, smooth=True)
+def _terms(result, recording, samples, last, delay, declared_m):
+    """The terms of a Calibration, from its smoothed samples."""
     # Errors that wander for minutes do not show in the positions, but the receiver declares them.
     noise = result.report.loc["noise of the position", ["value", "low", "high"]]
     noise = noise.astype(float).clip(lower=declared_m)
@@ -492,45 +498,17 @@ def _terms(result, recording, yaws, last, delay, declared_m):
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)
 
 
-def outage_errors(recording, arguments, yaws):
-    """Errors [m] at the end of outages: of positions hidden for _OUTAGE_S in every _EVERY_S.
-
-    The log is replayed for each part of _EVERY_S that may be hidden, so that all positions of a
-    segment but its first ones are hidden once.
-
-    Args:
-        recording: The Recording.
-        arguments: Arguments of `rhec.replay`, as a Calibration has them.
-        yaws: The initial yaw of each segment [rad].
-    """
-    rows = recording.rows
-    first_s = rows.groupby("segment")["t_s"].first()
-    since_s = rows["t_s"] - rows["segment"].map(first_s)
-    shown = pd.concat(
-        resample(part, paper.DT_S, recording.averaged) for _, part in rows.groupby("segment")
-    ).reset_index(drop=True)
-    errors = []
-    for begin_s in np.arange(0.0, _EVERY_S, _OUTAGE_S):
-        hidden_s = (since_s - begin_s) % _EVERY_S
-        hidden = (hidden_s < _OUTAGE_S) & (since_s >= _OUTAGE_S)
-        masked = rows.copy()
-        masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
-        samples = _replayed(recording._replace(rows=masked), arguments, yaws)
-        sample_s = samples["t_s"] - samples["segment"].map(first_s)
-        end_s = (sample_s - begin_s) % _EVERY_S
-        is_last = (end_s > _OUTAGE_S - 1.5 * paper.DT_S) & (end_s < _OUTAGE_S - 0.5 * paper.DT_S)
-        counts = (is_last & (sample_s > 2 * _OUTAGE_S - 2 * paper.DT_S)).to_numpy()
-        x, y = (samples[f"{name}_hat_m"] - shown[f"{name}_meas_m"] for name in "xy")
-        errors.append(np.hypot(x, y)[counts])
-    return np.concatenate(errors)
-
-
 def _keep_better(result, recording, yaws):
     """Keep the defaults of `rhec.replay` where the calibrated values predict worse than they do.
 
     They do if the geometric mean of the ratios of both errors is significantly above _WORSE.
     """
-    calibrated, shipped = (outage_errors(recording, how, yaws) for how in (result, {}))
+
+    def errors_m(arguments):
+        hidden = hidden_errors(recording, lambda shown: _replayed(shown, arguments, yaws))
+        return hidden.error_m[:, -1]
+
+    calibrated, shipped = errors_m(result), errors_m({})
     ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
     ratios = ratios[np.isfinite(ratios)]
     if len(ratios) < _LEAST_OUTAGES:
@@ -540,7 +518,7 @@ def _keep_better(result, recording, yaws):
         for name in (*_FIELDS, "lever_arm_m"):
             result.pop(name, None)
         result.remarks.append(
-            f"The defaults are kept: after {_OUTAGE_S:g} s without positions the errors of the "
+            f"The defaults are kept: after {HIDDEN_S:g} s without positions the errors of the "
             f"calibrated replay are {np.exp(ratios.mean()):.2f} times as large as those of the "
             f"default one (geometric mean of {len(ratios)})."
         )

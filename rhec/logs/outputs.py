@@ -19,6 +19,8 @@ FILES = (
     "traction.parquet",
     "traction.geojson",
 )
+# What write_summary writes besides.
+FILES_OF_SUMMARY = ("summary.txt", "comparison.csv", "robot.yaml", "log.png")
 _TRACTION = ["t_s", *ESTIMATE[:2], *ESTIMATE[4:], *SIGMA[:2], *SIGMA[4:6]]
 
 
@@ -44,6 +46,24 @@ def write_estimates(estimates, folder):
     suffixes = (".csv", ".parquet", ".geojson")[: 3 if "origin" in estimates.attrs else 2]
     for suffix in suffixes:
         write_traction(estimates, folder / f"traction{suffix}")
+
+
+def write_summary(summary, folder):
+    """Write summary.txt, comparison.csv, robot.yaml for ROS, and the picture log.png.
+
+    Args:
+        summary: Summary with estimates, as `rhec.log` returns it.
+        folder: Path of the folder, which is created if needed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / "summary.txt") as unfinished:
+        unfinished.write_text(f"{summary}\n", encoding="utf-8")
+    with replacing(folder / "comparison.csv") as unfinished:
+        summary.comparison.table.to_csv(unfinished, index_label="estimator")
+    with replacing(folder / "robot.yaml") as unfinished:
+        unfinished.write_text(summary.yaml, encoding="utf-8")
+    with replacing(folder / "log.png") as unfinished:
+        summary.plot().savefig(unfinished, format="png")
 
 
 def write_traction(estimates, file):

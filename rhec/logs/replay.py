@@ -573,7 +573,12 @@ def build_model_replay(of_rhe, *structure):
         places = [model.joint_names.index(name) for name in names]
         sigma = ca.vertcat(*(ca.sqrt(P[place, place]) for place in places))
         estimate = outputs["estimate"]
-        return dict(estimate=estimate, sigma=sigma, ok=outputs.get("ok", ca.MX(1)))
+        return dict(
+            estimate=estimate,
+            sigma=sigma,
+            ok=outputs.get("ok", ca.MX(1)),
+            deviance=outputs.get("deviance", ca.DM.nan(1)),
+        )
 
     return _build_scan(step, model, dt_s, model.names, record)
 

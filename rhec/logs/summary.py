@@ -2,185 +2,204 @@
 
     rhec log FILE
 
-reads and checks the log, smooths it, runs the estimator as the robot would have on its way, hides
-positions from it, and says what follows.
+reads and checks the log, smooths it, runs the RHE and two filters as the robot would have on its
+way, hides positions from them, and says what follows.
 """
 
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.logs.calibration import outage_errors
+from rhec.logs import terms
+from rhec.logs.comparison import Comparison, compare, moves
 from rhec.logs.doctor import Diagnosis, doctor
-from rhec.logs.reader import found_lines, read
+from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare, travelled
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.logs.terms import slopes
-from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA
+from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA
 
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _KNOWN_YAW_RAD = 0.25  # standard deviation of a yaw that is known
 _OFTEN = 0.1  # share of the samples in which the robot moves
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _LEAST_COVERED = 0.8  # share of the causal yaw within its 95 % of the smoothed one
-_SETTLED_S = 10.0  # after which the causal estimate is compared with the smoothed one
+_HONEST = 0.95  # share of hidden positions within their 95 %
+_BY_CHANCE = 0.05  # a share that is less likely than this is not by chance
+_ASKED = (
+    "If you know them, give the distance of the tracks (--track-width-m), the radius of wheels "
+    "whose speeds are in rad/s (--wheel-radius-m), and the factor by which the driver has already "
+    "multiplied the distance (--wheel-separation-multiplier)."
+)
 
 
-class Summary(NamedTuple):
+@dataclass(frozen=True)
+class Summary:
     """What a log says of its robot.
 
     Args:
-        taken: Sentences: which columns were taken for what, by which clock, and which track width.
+        taken: {role: what}: which columns were taken for what, which clock, which track width.
+        asked: A sentence: what the log does not say of the robot.
         diagnosis: The Diagnosis of the log.
-        traction: DataFrame, rows μ and κ: value of the whole log with its 95 % interval (low,
-            high), and the median of the estimates on the way. None for a log that is refused.
-        figures: {name: number} by which to judge the estimator; None likewise.
-        verdict: Whether to trust it, and if not, why and what helps.
-        samples: DataFrame of the smoothed samples; None likewise.
+        verdict: Whether to trust the estimates, and if not, why and what helps.
+        traction: DataFrame, rows μ and κ: regression of the smoothed motion on the encoders over
+            the whole log, with its 95 % interval (low, high). None, as all below, for a log that
+            is refused.
+        comparison: Comparison of the RHE, causal, with an EKF of (μ, κ) and one of ICR.
+        samples: DataFrame of the smoothed samples.
+        yaml: The robot's parameters for ROS (`rhec.logs.terms`).
     """
 
-    taken: list
+    taken: dict
+    asked: str
     diagnosis: Diagnosis
-    traction: pd.DataFrame | None
-    figures: dict | None
     verdict: str
-    samples: pd.DataFrame | None
+    traction: pd.DataFrame | None = None
+    comparison: Comparison | None = None
+    samples: pd.DataFrame | None = None
+    yaml: str = ""
 
     def __str__(self) -> str:
-        lines = ["Taken for what:", *(f"  {line}" for line in self.taken), "", "Checked:"]
-        lines += [f"  {line}" for line in str(self.diagnosis).splitlines()]
+        taken = [f"  {role:<16}{what}" for role, what in self.taken.items()]
+        lines = ["Taken for what:", *taken, "", "Checked:"]
+        lines += _indented(str(self.diagnosis))
         if self.traction is not None:
-            table = self.traction.to_string(float_format="{:.3f}".format)
             lines += ["", "Traction (motion over ground by motion of the tracks):"]
-            lines += [f"  {line}" for line in table.splitlines()]
-            lines += [f"  {name}: {value:.3g}" for name, value in self.figures.items()]
-        return "\n".join([*lines, "", self.verdict])
+            lines += _indented(_text(self.traction))
+            lines += ["", "On the way, with 10 s of positions hidden again and again:"]
+            lines += _indented(_text(self.comparison.table))
+        return "\n".join([*lines, "", self.asked, "", self.verdict])
+
+    def plot(self) -> "Figure":
+        """Draw traction and yaw with two standard deviations, and the path.
+
+        Returns:
+            A matplotlib Figure.
+
+        Raises:
+            ValueError: If the log was refused.
+        """
+        if self.samples is None:
+            raise ValueError(f"the log has no estimates to draw. {self.verdict}")
+        # Imported here, because most summaries are only printed.
+        from rhec.logs.picture import picture
+
+        return picture(self)
+
+
+def _text(table):
+    return table.to_string(formatters=dict(n="{:.0f}".format), float_format="{:.3f}".format)
+
+
+def _indented(text):
+    return [f"  {line}" for line in text.splitlines()]
 
 
 @checked
-def summarise(
-    log: Any,
+def log(
+    file: Any,
     *,
     track_width_m: Positive | None = None,
     position_delay_s: Real = 0.0,
     trust_log: Flag = False,
 ) -> Summary:
-    """Summarise what a recorded log says of its robot.
+    """Say what a recorded log tells of its robot, and whether to trust it.
 
     Args:
-        log: DataFrame, as `rhec.replay` takes it; or the path of a file, as `rhec.logs.read` takes
-            it.
+        file: Path of a file, as `rhec.logs.read` takes it; or a DataFrame, as `rhec.replay` takes.
         track_width_m: As in `rhec.replay` [m].
         position_delay_s: Delay of the time stamps of the positions [s].
         trust_log: Whether to go on with a log that `rhec.replay` would refuse.
 
     Returns:
-        Summary.
+        Summary. Printed, it is a page of text; `plot()` draws it.
 
     Raises:
         ValueError: If there is a path, and its file cannot be read.
     """
-    if isinstance(log, str | Path):
-        log = read(log)
-    diagnosis = doctor(log, track_width_m=track_width_m, position_delay_s=position_delay_s)
+    recorded = read_if_path(file)
+    diagnosis = doctor(recorded, track_width_m=track_width_m, position_delay_s=position_delay_s)
     errors = [each for each in diagnosis.findings if each.severity == "error"]
     is_parsed = bool(diagnosis.facts)
     if errors and not (trust_log and is_parsed):
         verdict = f"No estimate: {errors[0].sentence} {errors[0].remedy}"
-        return Summary(found_lines(log), diagnosis, None, None, verdict, None)
-    recording = delayed(prepare(log, track_width_m), position_delay_s)
+        return Summary(_taken(recorded), _ASKED, diagnosis, verdict)
+    recording = delayed(prepare(recorded, track_width_m), position_delay_s)
+    about = InitialGuess(about_arm_m=recorded.attrs.get("lever_arm_m", (0.0, 0.0)))
     scenario = replay_scenario("rhe", recording, {})
-    about = InitialGuess(about_arm_m=log.attrs.get("lever_arm_m", (0.0, 0.0)))
-    causal = estimate_samples(recording, scenario, about)
     smoothed = estimate_samples(recording, scenario, about, smooth=True)
-    traction = _traction(causal, smoothed)
-    figures = _figures(recording, causal, smoothed)
-    verdict = _verdict(recording, traction, figures)
-    taken = [*found_lines(log), *_taken(recording, track_width_m)]
-    return Summary(taken, diagnosis, traction, figures, verdict, smoothed)
-
-
-def _taken(recording, track_width_m):
-    """Which columns were taken for what, and the track width."""
-    roles = dict(
-        positions=MEASUREMENTS[:2],
-        encoders=MEASUREMENTS[2:],
-        gyro=[SENSORS["gyro"]],
-        heading=[SENSORS["heading"]],
-        truth=RECORDED_TRUTH,
+    comparison = compare(recording, smoothed, about)
+    slopes = terms.slopes(smoothed)
+    traction = pd.DataFrame({name: terms.row(*slope) for name, slope in zip("μκ", slopes)}).T
+    traction = traction.drop(columns="unit")
+    width_m = recording.track_width_m
+    parameters = terms.table(*slopes, width_m, terms.antenna(smoothed))
+    noise = terms.noise(smoothed)
+    return Summary(
+        taken=_taken(recorded, recording, track_width_m),
+        asked="" if track_width_m else _ASKED,
+        diagnosis=diagnosis,
+        verdict=_verdict(recording, traction, comparison, smoothed),
+        traction=traction,
+        comparison=comparison,
+        samples=smoothed,
+        yaml=terms.as_yaml(parameters, width_m, noise, diagnosis.facts["encoders_hz"]),
     )
-    lines = []
-    for role, names in roles.items():
-        columns = [recording.columns[name] for name in names if name in recording.rows]
-        unused = ", which no estimator sees" if role == "truth" else ""
-        if columns:
-            lines.append(f"{role}: {', '.join(dict.fromkeys(columns))}{unused}")
-    width = f"track width: {recording.track_width_m:.3g} m"
-    if not track_width_m:
-        width += (
-            ", by the log's track speeds or the paper; track_width_m (--track-width-m) tells it"
-        )
-    return [*lines, width]
 
 
-def _traction(causal, smoothed):
-    """μ and κ of the whole log by smoothed motion, and the medians of the causal estimates."""
-    rows = {}
-    for name, slope, column in zip("μκ", slopes(smoothed), ESTIMATE[4:]):
-        low = slope.value - 1.96 * slope.sigma
-        high = slope.value + 1.96 * slope.sigma
-        median = causal.loc[_moves(causal), column].median()
-        rows[name] = {"value": slope.value, "low": low, "high": high, "on the way": median}
-    return pd.DataFrame(rows).T
+def _taken(log, recording=None, track_width_m=None):
+    """What the reader found in a log, which columns were taken for what, and the track width."""
+    rows = dict(getattr(log, "attrs", {}).get("inferred", {}))
+    if recording is not None:
+        roles = {
+            "positions": MEASUREMENTS[:2],
+            "encoders": MEASUREMENTS[2:],
+            "gyro": [SENSORS["gyro"]],
+            "heading": [SENSORS["heading"]],
+            "truth, unseen": RECORDED_TRUTH,
+        }
+        for role, names in roles.items():
+            columns = [recording.columns[name] for name in names if name in recording.rows]
+            if columns:
+                found = [*dict.fromkeys(columns), *([rows[role]] if role in rows else [])]
+                rows[role] = ", ".join(found)
+        source = "as given" if track_width_m else "by the log's track speeds, or the paper's"
+        rows["track width"] = f"{recording.track_width_m:.3g} m, {source}"
+    return rows
 
 
-def _moves(samples):
-    return (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
-
-
-def _figures(recording, causal, smoothed):
-    """Numbers by which to judge the estimates, {name: number}."""
-    yaw = ESTIMATE[2]
-    sigma_yaw = SIGMA[2]
-    moves = _moves(causal)
-    begins = causal.groupby("segment")["t_s"].transform("first")
-    settled = moves & (causal["t_s"] > begins + _SETTLED_S) & causal[yaw].notna()
-    apart = (causal[yaw] - smoothed[yaw] + np.pi) % (2 * np.pi) - np.pi
-    known = smoothed.dropna(subset=yaw).groupby("segment")
-    errors_m = outage_errors(recording, {}, known[yaw].first())
-    return {
-        "turned [rad]": travelled(recording.rows, MEASUREMENTS[3]),
-        "positions used": float((causal["position_accepted"] & moves).sum() / moves.sum()),
-        "yaw unknown, share": float((smoothed[sigma_yaw] > _KNOWN_YAW_RAD)[moves].mean()),
-        "yaw within its 95 % of the smoothed one": float(
-            (apart.abs() <= 1.96 * causal[sigma_yaw])[settled].mean()
-        ),
-        "yaw from the smoothed one, RMS [rad]": float(np.sqrt((apart[settled] ** 2).mean())),
-        "10 s without positions, median error [m]": float(np.nanmedian(errors_m))
-        if len(errors_m)
-        else np.nan,
-    }
-
-
-def _verdict(recording, traction, figures):
+def _verdict(recording, traction, comparison, smoothed):
     """Whether to trust the estimates, and if not, why and what helps."""
     doubts = []
-    if figures["turned [rad]"] < _LEAST_TURNED_RAD:
+    if travelled(recording.rows, MEASUREMENTS[3]) < _LEAST_TURNED_RAD:
         doubts.append("κ is not excited: drive two figures of eight")
-    if figures["yaw unknown, share"] > _OFTEN:
+    unknown = (smoothed[SIGMA[2]] > _KNOWN_YAW_RAD)[moves(smoothed)].mean()
+    if unknown > _OFTEN:
         doubts.append(
-            f"the yaw is unknown in {figures['yaw unknown, share']:.0%} of the drive, because "
-            "positions and encoders contradict each other or say little: log a gyro or a heading"
+            f"the yaw is unknown in {unknown:.0%} of the drive, because positions and encoders "
+            "contradict each other or say little: log a gyro or a heading"
         )
-    if figures["yaw within its 95 % of the smoothed one"] < _LEAST_COVERED:
-        doubts.append("σ is too small for this log: run rhec calibrate, and replay with it")
+    rhe = comparison.table.iloc[0]
+    if rhe["yaw in 95 %"] < _LEAST_COVERED:
+        doubts.append(
+            f"the yaw is unknown on the way: {rhe['yaw in 95 %']:.0%} of it lie within their 95 % "
+            "of the smoothed yaw; give a first_yaw_rad, or log a heading"
+        )
+    hidden = int(rhe["n"])
+    covered = round(rhe["in 95 %"] * hidden) if hidden else 0
+    if hidden and binomtest(covered, hidden, _HONEST, "less").pvalue < _BY_CHANCE:
+        doubts.append(
+            f"σ is too small: {rhe['in 95 %']:.0%} of {hidden} positions that were hidden for 10 s "
+            "lie within their 95 %, so the yaw is less certain than said: run rhec calibrate"
+        )
     if traction.loc["κ", "value"] > 1:
         doubts.append(
-            "κ is above 1, so the driver has already corrected the yaw rate: give the track speeds "
-            "and the geometric track_width_m"
+            "κ is above 1, so the driver has already corrected the yaw rate: give its "
+            "wheel_separation_multiplier (--wheel-separation-multiplier)"
         )
     if doubts:
         return f"Do not trust it yet: {'; '.join(doubts)}."

@@ -10,12 +10,16 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
+from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
 
 _STEP = 5  # samples between the estimates that are compared
 _BLOCK_S = 10.0  # length of the blocks that the jackknife leaves out
 _LEAST_BLOCKS = 5
 _Z = 1.96
+# The process noise that robot_localization has by default.
+_PROCESS = (0.05, 0.05, 0.06, 0.03, 0.03, 0.06, 0.025, 0.025, 0.04, 0.01, 0.01, 0.02)
+_PROCESS += (0.01, 0.01, 0.015)
+_NONE = 1e-6  # of what moves by its velocity alone, or does not move
 
 
 class Slope(NamedTuple):
@@ -37,6 +41,34 @@ def _jackknife(x, y, block):
     return Slope(float(total["xy"] / total["xx"]), float(sigma))
 
 
+class _Moves(NamedTuple):
+    """What the tracks and the robot moved in each interval of _STEP samples, (n,) each."""
+
+    driven_m: np.ndarray  # by the encoders
+    turned_rad: np.ndarray
+    ahead_m: np.ndarray  # of the centre of turning, over ground
+    left_m: np.ndarray
+    yaw_rad: np.ndarray
+    block: np.ndarray  # number of the block that the interval belongs to
+
+
+def _moves(samples):
+    """The _Moves of smoothed samples."""
+    parts = []
+    for segment, part in samples.groupby("segment"):
+        part = part[part[ESTIMATE[0]].notna()]
+        x, y, yaw = part[ESTIMATE[:3]].to_numpy().T
+        ahead, left = part[LEVER_ARM].fillna(0).to_numpy().T
+        centre = x + 1j * y - (ahead + 1j * left) * np.exp(1j * yaw)
+        step = np.diff(centre) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
+        speeds = paper.DT_S * part[MEASUREMENTS[2:]].fillna(0).to_numpy()[1:]
+        moves = np.column_stack([speeds, step.real, step.imag, np.diff(yaw)])
+        moves = moves[: len(moves) // _STEP * _STEP].reshape(-1, _STEP, 5).sum(axis=1)
+        block = np.arange(len(moves)) * _STEP * paper.DT_S // _BLOCK_S
+        parts.append(np.column_stack([moves, block + 1e6 * segment]))
+    return _Moves(*np.concatenate(parts).T)
+
+
 def slopes(samples):
     """(μ, κ) of a whole log as Slopes, from smoothed estimates.
 
@@ -46,23 +78,52 @@ def slopes(samples):
     Args:
         samples: DataFrame of smoothed samples of a replay.
     """
-    parts = []
-    for segment, part in samples.groupby("segment"):
-        part = part[part[ESTIMATE[0]].notna()]
-        x, y, yaw = part[ESTIMATE[:3]].to_numpy().T
-        ahead, left = part[LEVER_ARM].fillna(0).to_numpy().T
-        centre = x + 1j * y - (ahead + 1j * left) * np.exp(1j * yaw)
-        step = np.diff(centre) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
-        speeds = paper.DT_S * part[MEASUREMENTS[2:]].fillna(0).to_numpy()[1:]
-        moves = np.column_stack([speeds, step.real, np.diff(yaw)])
-        moves = moves[: len(moves) // _STEP * _STEP].reshape(-1, _STEP, 4).sum(axis=1)
-        block = np.arange(len(moves)) * _STEP * paper.DT_S // _BLOCK_S
-        parts.append(np.column_stack([moves, block + 1e6 * segment]))
-    n, w, d, turn, block = np.concatenate(parts).T
-    return _jackknife(n, d, block), _jackknife(w, turn, block)
+    moves = _moves(samples)
+    return (
+        _jackknife(moves.driven_m, moves.ahead_m, moves.block),
+        _jackknife(moves.turned_rad, moves.yaw_rad, moves.block),
+    )
 
 
-def _row(value, sigma, unit):
+class Noise(NamedTuple):
+    """Noise of an odometry that has been corrected by μ and κ: ahead, to the left, in turning.
+
+    `drift` are the variances by which dead reckoning drifts in a second [m²/s, m²/s, rad²/s];
+    `changes` those by which the velocities change in a second [(m/s)²/s, (m/s)²/s, (rad/s)²/s].
+    """
+
+    drift: tuple
+    changes: tuple
+
+
+def noise(samples):
+    """The Noise of a log, from smoothed estimates.
+
+    With the errors e of the distances and turns in intervals T of 1 s, the drift is E[e²] / T. A
+    velocity that is measured f times a second with white noise of variance σ² drifts by σ² / f.
+
+    Args:
+        samples: DataFrame of smoothed samples of a replay.
+    """
+    moves = _moves(samples)
+    mu, kappa = slopes(samples)
+    seconds = _STEP * paper.DT_S
+    errors = (
+        moves.ahead_m - mu.value * moves.driven_m,
+        moves.left_m,
+        moves.yaw_rad - kappa.value * moves.turned_rad,
+    )
+    velocities = np.array([moves.ahead_m, moves.left_m, moves.yaw_rad]) / seconds
+    goes_on = np.diff(moves.block) <= 1
+    changes = np.diff(velocities, axis=1)[:, goes_on]
+    return Noise(
+        tuple(float(np.mean(error**2)) / seconds for error in errors),
+        tuple((np.mean(changes**2, axis=1) / seconds).tolist()),
+    )
+
+
+def row(value, sigma, unit="-"):
+    """A row of `table`: value and 95 % interval of what has this standard deviation."""
     return dict(value=value, low=value - _Z * sigma, high=value + _Z * sigma, unit=unit)
 
 
@@ -86,30 +147,56 @@ def table(mu, kappa, width_m, others):
     rows = {
         "wheel_separation_multiplier (1/κ)": _inverse(kappa, 1.0, "-"),
         "effective track width": _inverse(kappa, width_m, "m"),
-        "wheel_radius_multiplier (μ)": _row(*mu, "-"),
-        "wheel_separation_multiplier with it (μ/κ)": _row(multiplier, multiplier * ratio, "-"),
+        "wheel_radius_multiplier (μ)": row(*mu),
+        "wheel_separation_multiplier with it (μ/κ)": row(multiplier, multiplier * ratio),
     }
-    rows |= {name: _row(*value) for name, value in others.items()}
+    rows |= {name: row(*value) for name, value in others.items()}
     return pd.DataFrame(rows).T
 
 
-def as_yaml(terms, width_m, sigma_v):
+def antenna(samples):
+    """{parameter: (value, standard deviation, unit)} of the antenna, by smoothed samples.
+
+    It is empty for a replay that does not estimate the lever arm.
+    """
+    names = ("antenna ahead", "antenna left")
+    last = samples.dropna(subset=LEVER_ARM).tail(1)
+    return {
+        name: (float(last[value].iloc[0]), float(last[sigma].iloc[0]), "m")
+        for name, value, sigma in zip(names, LEVER_ARM, SIGMA[6:])
+        if len(last)
+    }
+
+
+def _numbers(values):
+    """Numbers as YAML of any version reads them: with a point, and without an exponent."""
+    shown = (np.format_float_positional(v, 3, fractional=False, trim="0") for v in values)
+    return ", ".join(shown)
+
+
+def as_yaml(terms, width_m, noise, rate_hz):
     """The parameters as YAML for diff_drive_controller and robot_localization.
 
     Args:
         terms: What `table` returns.
         width_m: The stated track width [m].
-        sigma_v: Standard deviations of (x, y, ν, ω).
+        noise: The Noise of the odometry.
+        rate_hz: Rate of the encoders' messages [Hz].
     """
 
     def line(indent, key, name):
-        row = terms.loc[name]
-        value = f"{row['value']:.5g}  # 95 %: {row['low']:.4g} to {row['high']:.4g}"
+        found = terms.loc[name]
+        value = f"{found['value']:.5g}  # 95 %: {found['low']:.4g} to {found['high']:.4g}"
         return f"{' ' * indent}{key}: {value}"
 
     radius = "wheel_radius_multiplier (μ)"
+    ahead, left, turning = (rate_hz * drift for drift in noise.drift)
+    twist = _numbers((ahead, left, _NONE, _NONE, _NONE, turning))
+    process = np.array(_PROCESS)
+    process[[0, 1, 5]] = _NONE  # x, y, yaw
+    process[[6, 7, 11]] = noise.changes  # vx, vy, vyaw
     lines = [
-        "# Found by rhec.calibrate in one log, on one ground. The two multipliers belong together:",
+        "# Found by rhec in one log, on one ground. The two multipliers belong together:",
         "# with a wheel_radius_multiplier of 1 the wheel_separation_multiplier is",
         line(0, "# 1/κ", "wheel_separation_multiplier (1/κ)"),
         "diff_drive_controller:",
@@ -118,19 +205,33 @@ def as_yaml(terms, width_m, sigma_v):
         line(4, "wheel_separation_multiplier", "wheel_separation_multiplier with it (μ/κ)"),
         line(4, "left_wheel_radius_multiplier", radius),
         line(4, "right_wheel_radius_multiplier", radius),
-        "    twist_covariance_diagonal: "
-        f"[{sigma_v[2] ** 2:.3g}, 1.0e-3, 0.0, 0.0, 0.0, {sigma_v[3] ** 2:.3g}]",
+        f"    # By what slips, of messages at {rate_hz:.3g} Hz, and in proportion to this rate:",
+        f"    twist_covariance_diagonal: [{twist}]",
         "",
-        "# robot_localization takes these from messages and TF, not as parameters of its own:",
-        "base_link_to_gnss:  # static_transform_publisher, from the centre of turning",
-        line(2, "x", "antenna ahead"),
-        line(2, "y", "antenna left"),
-        "gnss:",
-        line(
-            2, "position_sigma_m  # square it for NavSatFix.position_covariance", "GNSS noise"
-        ).replace("  # square it for NavSatFix.position_covariance", "", 1),
-        line(2, "delay_s", "delay of the positions"),
+        "ekf_filter_node:  # of robot_localization, with vx, vy and vyaw of that odometry",
+        "  ros__parameters:",
+        "    two_d_mode: true",
+        "    # Per second, of x y z roll pitch yaw vx vy vz vroll vpitch vyaw ax ay az.",
+        "    # By the log: vx, vy and vyaw, by which alone x, y and yaw move. The others are",
+        "    # robot_localization's own.",
+        "    process_noise_covariance: [",
+        *(f"      {_numbers(entries)}," for entries in np.diag(process)),
+        "    ]",
     ]
+    if "antenna ahead" in terms.index:
+        lines += [
+            "",
+            "base_link_to_gnss:  # static_transform_publisher, from the centre of turning",
+            line(2, "x", "antenna ahead"),
+            line(2, "y", "antenna left"),
+        ]
+    if "GNSS noise" in terms.index:
+        lines += [
+            "",
+            "gnss:  # its messages have the square of this as position_covariance",
+            line(2, "position_sigma_m", "GNSS noise"),
+            line(2, "delay_s", "delay of the positions"),
+        ]
     if "gyro bias" in terms.index:
         lines += [
             "imu:",

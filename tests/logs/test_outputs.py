@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 import rhec
-from notebooks.further.recorded.scores import while_moving
 from notebooks.further.recorded_logs import write_scores
 from rhec.logs.outputs import write_estimates, write_traction
 
@@ -92,20 +91,10 @@ def test_a_log_in_metres_has_no_geojson(tmp_path):
     assert not (tmp_path / "traction.geojson").exists()
 
 
-def test_a_replay_leaves_its_scores_and_what_it_remarked(tmp_path):
+def test_a_replay_leaves_its_scores(tmp_path):
     rows = [("EKF", "yaw", 3.0, 2.0, 4.0, 5), ("RHE", "yaw [rad]", 0.5, 0.25, 0.75, 5)]
     table = pd.DataFrame(rows, columns=["estimator", "quantity", "mean", "low", "high", "n"])
-    write_scores(table, ["The estimate is lost."], tmp_path)
+    write_scores(table, tmp_path)
     title, *lines = (tmp_path / "scores.txt").read_text("utf-8").splitlines()
     assert "5 noise seeds" in title
-    assert lines == ["yaw [rad]: 0.5 [0.25, 0.75]", "The estimate is lost."]
-
-
-def test_a_fault_strikes_while_the_robot_moves():
-    t = 0.2 * np.arange(500)
-    drives, turns = (t > 30) & (t < 45), (t > 70) & (t < 95)
-    samples = pd.DataFrame(
-        dict(t_s=t, segment=0, nu_meas_mps=-0.5 * drives, omega_meas_radps=0.5 * turns)
-    )
-    for from_s, lasts_s, expected in ((0, 10, 30.2), (31, 10, 31), (40, 10, 70.2), (98, 1, 30.2)):
-        assert abs(while_moving(samples, from_s, lasts_s) - expected) < 1e-6
+    assert lines == ["yaw [rad]: 0.5 [0.25, 0.75]"]

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from helpers import recorded_log
 
-from notebooks.further import icr, transfer
+from notebooks.further import transfer
 from notebooks.further.recorded import scores
+from rhec.logs import rivals
 from rhec.logs.replay import predictor
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
@@ -21,7 +22,7 @@ def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
     rng = np.random.default_rng(0)
     for xi, (nu, omega) in zip(rng.normal(size=(5, 3)), rng.normal(size=(5, 2))):
         expected = model.dynamics(xi, [nu, omega], [mu, kappa])
-        found = icr.f(xi, [nu, b / 2 * omega], [y, -y, 0.0, mu, mu])
+        found = rivals.f(xi, [nu, b / 2 * omega], [y, -y, 0.0, mu, mu])
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -30,7 +31,7 @@ def test_the_robot_turns_about_its_centres():
     left track.
     """
     p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8], (0.7, 0.2)
-    ahead, side, turning = np.array(icr.f([0.0, 0.0, 0.0], [nu, delta], p)).ravel()
+    ahead, side, turning = np.array(rivals.f([0.0, 0.0, 0.0], [nu, delta], p)).ravel()
     assert side + 0.2 * turning == pytest.approx(0)
     assert ahead - 0.4 * turning == pytest.approx(0.9 * (nu - delta))
     assert ahead + 0.3 * turning == pytest.approx(0.8 * (nu + delta))
@@ -65,7 +66,7 @@ def test_each_robot_is_left_out_once():
     }
     rows = transfer.trials(logs, range(2))
     counted = rows.groupby(["log", "estimator", "tuned"])["seed"].nunique()
-    assert (counted == 2).all() and len(counted) == 2 * (3 + 2 + 2)
+    assert (counted == 2).all() and len(counted) == 2 * (3 + 3 + 2 + 2)
     assert rows["yaw_rms_rad"].between(0, 0.3).all() and rows["ahead_rms_m"].between(0, 0.5).all()
     means = transfer.table(rows)
     own = rows.query("log == 'one' and estimator == 'RHE' and tuned == 'itself'")["yaw_rms_rad"]

@@ -3,8 +3,6 @@
 Perturbed replays add noise, a wrong initial yaw and sensor faults to a log.
 """
 
-import itertools
-
 import numpy as np
 import pandas as pd
 
@@ -65,22 +63,6 @@ def distance_driven(samples):
     """Distance driven in the segment until each sample [m], by the encoders."""
     steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
     return steps.groupby(samples["segment"]).cumsum()
-
-
-def while_moving(samples, from_s, duration_s):
-    """The first time [s] at which the robot moves for most of a duration.
-
-    Args:
-        samples: DataFrame of a replay's samples.
-        from_s: Earliest time [s], ignored if the robot does not move after it.
-        duration_s: The duration [s].
-    """
-    moves = (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
-    # The reverse order makes a rolling mean one of the samples ahead.
-    ahead = moves[::-1].groupby(samples["segment"]).rolling(round(duration_s / paper.DT_S) + 1)
-    share = ahead.mean().droplevel(0).reindex(samples.index).fillna(0)
-    later = share[samples["t_s"] >= from_s]
-    return float(samples["t_s"][(later if later.any() else share).idxmax()])
 
 
 def rms(*components):
@@ -243,40 +225,3 @@ def perturbed_scores(log, seeds, **arguments):
     recording, others = _prepared(log, **arguments)
     replays = (_perturbed(recording, seed, **others) for seed in seeds)
     return pd.DataFrame([dict(seed=seed) | score(samples) for seed, samples in zip(seeds, replays)])
-
-
-def fault_scores(log, cases, seeds, **arguments):
-    """Scores of perturbed replays with faults.
-
-    Args:
-        log: As in `perturbed_replay`, with the true pose.
-        cases: {name: rhec.Fault}.
-        seeds: Seeds of the noise.
-        **arguments: As in `perturbed_replay`.
-
-    Returns:
-        DataFrame, one row for each fault and seed. worst_position_m and worst_yaw_rad are
-        the largest errors from the beginning of the fault to the end of its segment, last_yaw_rad
-        is the error at the end; outside and not_ok are those of `score`.
-    """
-    recording, others = _prepared(log, **arguments)
-    rows = []
-    for name, seed in itertools.product(cases, seeds):
-        start_s = cases[name].start_s
-        samples = _perturbed(recording, seed, faults=(cases[name],), **others)
-        segment = samples.loc[(samples["t_s"] - start_s).abs().idxmin(), "segment"]
-        after = samples[(samples["segment"] == segment) & (samples["t_s"] >= start_s)]
-        yaw = yaw_error(after).abs()
-        scores = score(samples)
-        rows.append(
-            dict(
-                fault=name,
-                seed=seed,
-                worst_position_m=np.hypot(*_position_error(after)).max(),
-                worst_yaw_rad=yaw.max(),
-                last_yaw_rad=yaw.iloc[-1],
-                outside=scores["outside"],
-                not_ok=scores["not_ok"],
-            )
-        )
-    return pd.DataFrame(rows)
