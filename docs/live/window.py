@@ -38,8 +38,8 @@ def build_tools(scenario):
     free = without_bounds(window)
     return dict(
         shift=_build_shift(window),
-        solve=_build_solve("solve", window),
-        free=_build_solve("free", free),
+        solve=_build_solve("solve", window, window.memory),
+        free=_build_solve("free", free, window.memory),
         shortest=_build_shortest("shortest", window),
         shortest_free=_build_shortest("shortest_free", free),
         kalman=_named("kalman", ekf.build(window.model, window.dt_s)["step"]),
@@ -75,17 +75,20 @@ def _build_shift(window):
     return shift
 
 
-def _build_solve(name, window):
-    """What the newest measurement makes of a shifted window, and the prediction of its node N."""
+def _build_solve(name, window, memory):
+    """What the newest measurement makes of a shifted window, and the prediction of its node N.
+
+    `memory` has its shapes, {name: shape}; a window without bounds takes those that it has of them.
+    """
     phases = rhe.build_phases(window)
     inputs = {name: phases["feedback"].size_in(name) for name in ("z_N", "V")}
     inputs["P_0"] = phases["expand"].size_in("P_0")
 
-    @with_packed_memory(name, window.memory, ca.MX, **inputs)
+    @with_packed_memory(name, memory, ca.MX, **inputs)
     def solve(**values):
         for phase in ("linearise", "feedback", "expand"):
             values |= phases[phase](**select_inputs(phases[phase], values))
-        return {key: values[key] for key in (*_RESULTS, *window.memory)}
+        return {key: values[key] for key in (*_RESULTS, *memory)}
 
     return solve
 

@@ -2,6 +2,7 @@
 gives what its annotation says; run, they are what they say.
 """
 
+import dataclasses
 from pathlib import Path
 from typing import Any, assert_type
 
@@ -30,7 +31,8 @@ def test_one_run_and_many() -> None:
 
 
 def test_a_recorded_log(tmp_path: Path) -> None:
-    rhec.simulate(SCENARIO).log.to_csv(tmp_path / "log.csv", index=False)
+    long = dataclasses.replace(SCENARIO, duration_s=60.0)  # after which the yaw is known
+    rhec.simulate(long).log.to_csv(tmp_path / "log.csv", index=False)
     log = assert_type(rhec.logs.read(tmp_path / "log.csv"), pd.DataFrame)
     estimates = assert_type(rhec.replay(log, estimator="ekf"), pd.DataFrame)
     assert len(estimates) == len(log)
