@@ -82,16 +82,15 @@ def collect(claims, fields, folder=None):
     """
     if not fields or list(fields) != sorted(set(fields)):
         raise ValueError(f"fields was {fields}; it should have a number for each look, rising")
-    beside = [number for claim in claims.values() for number in claim.beside.values()]
     left = {
         (id_, name): judge
         for id_, claim in claims.items()
         for name, judge in claim.rule.by_condition.items()
     }
-    every = [*left.values(), *beside]
-    driven = driven_tables_of(every)
-    fixed = [table for table in tables_of(every) if table not in driven]
-    evidence = make(fixed, range(fields[-1]))
+    numbers = [number for claim in claims.values() for number in claim.beside.values()]
+    every = tables_of([*left.values(), *numbers])
+    driven = driven_tables_of([*left.values(), *numbers])
+    evidence = make([table for table in every if table not in driven], range(fields[-1]))
     findings = {id_: {} for id_ in claims}
     looks = {id_: {} for id_ in claims}
     for place, (before, n) in enumerate(itertools.pairwise([0, *fields])):

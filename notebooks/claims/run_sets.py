@@ -134,9 +134,9 @@ LOGS = {
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
     "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
 }
-_FIELDS = "duration_s mu_deviation kappa_deviation".split()  # of the Scenario, that rules need
 # Drives along the first row alone; LOGS of another speed bring their own time.
 ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
+_FIELDS = "duration_s mu_deviation kappa_deviation".split()  # of Scenario, columns of each table
 
 
 # Runs
@@ -180,7 +180,7 @@ def measure(scenarios, folder=None):
         folder: Where the campaign of "runs" keeps its rows.
 
     Returns:
-        {name: DataFrame, one row a scenario}.
+        {name: DataFrame, one row a scenario; its length and the soil's deviations are columns, too}.
     """
     logs = scenarios.get("logs", {})
     runs = scenarios.get("runs", {})
