@@ -180,7 +180,7 @@ def measure(scenarios, folder=None):
         folder: Where the campaign of "runs" keeps its rows.
 
     Returns:
-        {name: DataFrame, one row a scenario; its length and the soil's deviations are columns, too}.
+        {name: DataFrame, one row a scenario, with the length and the soil's deviations}.
     """
     logs = scenarios.get("logs", {})
     runs = scenarios.get("runs", {})
