@@ -1,12 +1,21 @@
-"""The evidence behind the claims, made in two looks (`notebooks.studies.two_looks`)."""
+"""The evidence behind the claims, made in several looks.
 
-from functools import partial
+Few fields decide most claims, whose intervals are far from the bounds. A look before the last asks
+for 99.9 % confidence, and only what it leaves open is driven on more fields. The last look asks for
+95 %. That is the group-sequential design of Haybittle (British Journal of Radiology 44, 1971) and
+Peto et al. (British Journal of Cancer 34, 1976). With k looks a verdict is wrong with a probability
+of at most (k - 1) 0.1 % + 5 %.
+"""
+
+import itertools
+
+import numpy as np
+import pandas as pd
 
 from notebooks.claims import experiments, run_sets
-from notebooks.studies import two_looks
-from notebooks.studies.statistics import CONFIDENCE, UNDECIDED
+from notebooks.studies.statistics import CONFIDENCE, EARLY_CONFIDENCE, UNDECIDED
 
-__all__ = ["collect", "findings_of", "make", "tables_of"]
+__all__ = ["collect", "driven_tables_of", "findings_of", "make", "tables_of"]
 
 _SETS = {"runs": run_sets.RUNS, "logs": run_sets.LOGS}
 
@@ -14,6 +23,11 @@ _SETS = {"runs": run_sets.RUNS, "logs": run_sets.LOGS}
 def tables_of(conditions):
     """The tables (process noise, kind, id) that Conditions read, each once."""
     return list(dict.fromkeys(table for condition in conditions for table in condition.tables))
+
+
+def driven_tables_of(conditions):
+    """Those of `tables_of` that have one row a field; an experiment has its own cases."""
+    return [table for table in tables_of(conditions) if table[1] in _SETS]
 
 
 def make(tables, seeds, folder=None):
@@ -49,63 +63,65 @@ def findings_of(claims, evidence, confidence):
     }
 
 
-def collect(claims, first, seeds, folder=None):
-    """Make the evidence in two looks, and judge by it.
+def collect(claims, fields, folder=None):
+    """Make the evidence in several looks, and judge by it.
 
     Args:
         claims: {id: Claim}.
-        first: Fields of the first look.
-        seeds: Fields of the second. With no more than in the first there is one look, at 95 %.
+        fields: How many of each look, rising; a look at n fields has the seeds 0 to n - 1.
         folder: Where the campaign of runs keeps its rows.
 
     Returns:
-        evidence: {(process noise, kind, id): DataFrame}, the larger tables where there are two.
-        findings: {id: {condition: Finding}}.
-        beside: {id: {what: Finding}} of the numbers that decide nothing.
+        evidence: {(process noise, kind, id): DataFrame}, all that was made.
+        findings: {id: {condition: Finding}}, by the look that decided.
+        beside: {id: {what: Finding}} of the numbers that decide nothing, by all that was made.
         looks: {id: {condition: confidence of the look that decided}}.
+
+    Raises:
+        ValueError: If the numbers of fields do not rise.
     """
-    driven, fixed = _driven_and_fixed(claims)
-    exact = make(fixed, range(seeds))
-
-    def undecided(tables, confidence):
-        found = findings_of(claims, tables | exact, confidence)
-        return tables_of(claims[id_].rule.by_condition[name] for id_, name in _open(found))
-
-    driving = partial(make, folder=folder)
-    drives = two_looks.drive(driven, first, seeds, driving, undecided)
-    evidence = drives.first | exact
-    findings = findings_of(claims, evidence, drives.confidence)
-    looks = {id_: dict.fromkeys(found, drives.confidence) for id_, found in findings.items()}
+    if not fields or list(fields) != sorted(set(fields)):
+        raise ValueError(f"fields was {fields}; it should have a number for each look, rising")
+    left = {
+        (id_, name): judge
+        for id_, claim in claims.items()
+        for name, judge in claim.rule.by_condition.items()
+    }
+    numbers = [number for claim in claims.values() for number in claim.beside.values()]
+    every = tables_of([*left.values(), *numbers])
+    driven = driven_tables_of([*left.values(), *numbers])
+    evidence = make([table for table in every if table not in driven], range(fields[-1]))
+    findings = {id_: {} for id_ in claims}
+    looks = {id_: {} for id_ in claims}
+    for place, (before, n) in enumerate(itertools.pairwise([0, *fields])):
+        for table, rows in make(driven, range(before, n), folder).items():
+            parts = [evidence[table], rows] if before else [rows]
+            evidence[table] = pd.concat(parts, ignore_index=True)
+        confidence = CONFIDENCE if n == fields[-1] else EARLY_CONFIDENCE
+        for (id_, name), judge in left.items():
+            finding = judge(evidence, confidence)
+            # What the looks before have spent of the error rate is part of p; NaN stays NaN.
+            spent = finding.p + place * (1 - EARLY_CONFIDENCE)
+            findings[id_][name] = finding._replace(p=float(np.minimum(spent, 1.0)))
+            looks[id_][name] = confidence
+        left = {
+            (id_, name): judge
+            for (id_, name), judge in left.items()
+            if _is_open(findings[id_][name], judge)
+        }
+        driven = driven_tables_of(left.values())
     beside = {
         id_: {what: number(evidence) for what, number in claim.beside.items()}
         for id_, claim in claims.items()
     }
-    evidence = drives.tables | exact
-    if drives.confidence != CONFIDENCE:
-        for id_, name in _open(findings):
-            second = claims[id_].rule.by_condition[name](evidence)
-            findings[id_][name] = two_looks.with_first_look(second)
-            looks[id_][name] = CONFIDENCE
     return evidence, findings, beside, looks
 
 
-def _open(findings):
-    """(id, condition) of each Finding that is undecided."""
-    return [
-        (id_, name)
-        for id_, found in findings.items()
-        for name, finding in found.items()
-        if finding.verdict == UNDECIDED
-    ]
+def _is_open(finding, condition):
+    """Whether an early look leaves a condition open.
 
-
-def _driven_and_fixed(claims):
-    """The tables of claims that have two looks, and those of experiments, which have one."""
-    every = [
-        judge
-        for claim in claims.values()
-        for judge in (*claim.rule.by_condition.values(), *claim.beside.values())
-    ]
-    tables = tables_of(every)
-    fixed = [table for table in tables if table[1] == "experiments"]
-    return [table for table in tables if table not in fixed], fixed
+    It does where the verdict is undecided, and where all fields that were driven are equal: their
+    interval has no length, yet the next field may differ.
+    """
+    is_constant = finding.low == finding.high and bool(driven_tables_of([condition]))
+    return finding.verdict == UNDECIDED or is_constant

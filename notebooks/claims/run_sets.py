@@ -136,6 +136,7 @@ LOGS = {
 }
 # Drives along the first row alone; LOGS of another speed bring their own time.
 ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
+_FIELDS = "duration_s mu_deviation kappa_deviation".split()  # of Scenario, columns of each table
 
 
 # Runs
@@ -179,12 +180,15 @@ def measure(scenarios, folder=None):
         folder: Where the campaign of "runs" keeps its rows.
 
     Returns:
-        {name: DataFrame, one row a scenario}.
+        {name: DataFrame, one row a scenario, with the length and the soil's deviations}.
     """
     logs = scenarios.get("logs", {})
     runs = scenarios.get("runs", {})
     rows = iter(map_runs(measured, list(itertools.chain(*logs.values()))))
-    tables = {name: pd.DataFrame([next(rows) for _ in part]) for name, part in logs.items()}
+    tables = {
+        name: pd.DataFrame([next(rows) for _ in part]).assign(**_columns_of(part))
+        for name, part in logs.items()
+    }
     keys = {name: _keys_of(part) for name, part in (logs | runs).items()}
     of_logs = {keys[name]: table for name, table in tables.items()}
     rest = {name: part for name, part in runs.items() if keys[name] not in of_logs}
@@ -197,11 +201,15 @@ def _keys_of(scenarios):
     return tuple(map(scenario_key, scenarios))
 
 
+def _columns_of(scenarios):
+    """{field: its value in each scenario} of the fields that rules need."""
+    return {name: [getattr(scenario, name) for scenario in scenarios] for name in _FIELDS}
+
+
 def drive(scenarios, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
     every = [scenario for of_name in scenarios.values() for scenario in of_name]
-    durations_s = [scenario.duration_s for scenario in every]
-    table = complete(campaign(every, folder).assign(duration_s=durations_s))
+    table = complete(campaign(every, folder).assign(**_columns_of(every)))
     ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
     places = np.split(np.arange(len(table)), ends[:-1])
     return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}

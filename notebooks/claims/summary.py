@@ -37,7 +37,7 @@ __all__ = [
 
 PRINTED = f"{HOLDS} only {AS_PRINTED}"
 DEPARTURE = f"{HOLDS} only with a departure"
-FIELDS = 40  # of one claim alone: enough for most verdicts at 99.9 %
+FIELDS = 40  # of one claim alone, as in the first look of the ledger
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 _LEDGER = ROOT / "data/results/claims.csv"
 
@@ -184,12 +184,9 @@ def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")
     claim = claims[id_]
-    _, findings, beside, _ = evidence.collect({id_: claim}, fields, fields, folder)
+    _, findings, beside, _ = evidence.collect({id_: claim}, [fields], folder)
     verdict, _ = claim.rule.combined(findings[id_])
     derived = ", by derivation" if claim.derived else ""
-    driven = any(
-        kind != "experiments" for _, kind, _ in evidence.tables_of(claim.rule.by_condition.values())
-    )
     lines = [
         f"{id_}: {claim.claim}",
         f"  {claim.section}: “{claim.quote}”",
@@ -200,7 +197,7 @@ def report_lines(id_, fields=FIELDS, folder=None, claims=CLAIMS):
     lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
     lines += [f"  why: {claim.why}"] if claim.why else []
     lines += _how_sure(findings[id_]) if _is_share(claim, findings[id_]) else []
-    if driven:
+    if evidence.driven_tables_of(claim.rule.by_condition.values()):
         lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
         lines.append("  The ledger (06_claims) has more fields, and other worlds.")
     return lines

@@ -19,8 +19,8 @@ from scipy import special
 __all__ = [
     "AS_PRINTED",
     "CONFIDENCE",
+    "EARLY_CONFIDENCE",
     "FAILS",
-    "FIRST_CONFIDENCE",
     "HOLDS",
     "LOST",
     "UNDECIDED",
@@ -55,7 +55,7 @@ UNTESTABLE = "cannot be tested here"
 LOST = "its rival is lost"  # to beat a robot that left the path proves nothing
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
 CONFIDENCE = 0.95
-FIRST_CONFIDENCE = 0.999  # of a first look at few fields, which decides what needs no second one
+EARLY_CONFIDENCE = 0.999  # of a look at few fields, before the last one
 _MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
 _RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
 _NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it

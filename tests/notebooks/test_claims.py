@@ -10,7 +10,7 @@ from scipy import stats
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
-from notebooks.studies import statistics, two_looks
+from notebooks.studies import statistics
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
 from rhec.simulation.campaigns.map import map_runs, parallel_map
@@ -203,9 +203,13 @@ def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
 
 
 @pytest.fixture(scope="module")
-def made_up(run, virtual_machine):
+def made_up(virtual_machine):
     """Evidence of the right form whose every number is drawn, so that no verdict means anything."""
-    rng, log = np.random.default_rng(0), run_sets.measured(run)
+    rng = np.random.default_rng(0)
+    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+    one, other = ([rhec.Scenario(seed=seed, **short)] for seed in range(2))
+    asked = dict(runs=dict(runs=one), logs=dict(logs=other))
+    driven = {name: of.to_dict("records")[0] for name, of in run_sets.measure(asked).items()}
 
     def table(columns, rows=50):
         return pd.DataFrame(
@@ -233,9 +237,8 @@ def made_up(run, virtual_machine):
         "certainty": experiments.certainty_equivalence(4.0),
         "convexity": experiments.convexity(3),
     }
-    metrics = {**run.metrics, "arrived": True, "mu_deviation": 0.04, "kappa_deviation": 0.08}
-    found = {("runs", id_): table(metrics).assign(duration_s=240.0) for id_ in run_sets.RUNS}
-    found |= {("logs", id_): table(log) for id_ in run_sets.LOGS}
+    found = {("runs", id_): table(driven["runs"]) for id_ in run_sets.RUNS}
+    found |= {("logs", id_): table(driven["logs"]) for id_ in run_sets.LOGS}
     found |= {("experiments", name): each for name, each in made.items()}
     return {(noise, *key): each for noise in run_sets.PROCESS_NOISES for key, each in found.items()}
 
@@ -332,7 +335,7 @@ def test_both_process_noises_meet_the_same_seeds():
         )
 
 
-# Two looks
+# Looks
 
 
 @pytest.fixture
@@ -361,36 +364,77 @@ B6 = {"B6": ledger.CLAIMS["B6"]}
 
 
 @pytest.mark.parametrize(
-    "advantage, expected", [(0.5, [range(60)]), (0.012, [range(60), range(60, 900)])]
+    "advantage, expected, confidence",
+    [
+        (0.5, [range(20)], 0.999),
+        (0.05, [range(20), range(20, 200)], 0.999),
+        (0.012, [range(20), range(20, 200), range(200, 900)], 0.95),
+    ],
 )
-def test_only_what_the_first_look_leaves_undecided_is_looked_at_again(errors, advantage, expected):
+def test_only_what_a_look_leaves_undecided_is_looked_at_again(
+    errors, advantage, expected, confidence
+):
     errors["advantage"] = advantage
-    _, findings, _, looks = evidence.collect(B6, 60, 900)
-    assert [*filter(None, errors["asked"])] == list(
-        map(set, expected)
-    )  # no field is driven at both looks
+    _, findings, _, looks = evidence.collect(B6, [20, 200, 900])
+    # No field is driven at two looks.
+    assert [*filter(None, errors["asked"])] == list(map(set, expected))
     found, look = findings["B6"]["as printed"], looks["B6"]["as printed"]
-    assert (found.n, look) == ((60, 0.999) if len(expected) == 1 else (900, 0.95))
+    assert (found.n, found.verdict, look) == (expected[-1].stop, HOLDS, confidence)
 
 
-def test_a_verdict_of_the_first_look_needs_a_wider_interval():
+M9 = {"M9": ledger.CLAIMS["M9"]}
+
+
+@pytest.mark.parametrize("lost_in, verdict", [(range(100, 200), HOLDS), ([], FAILS)])
+def test_fields_that_are_all_equal_decide_at_the_last_look_alone(monkeypatch, lost_in, verdict):
+    """The augmented EKF is lost in later fields or in none, the bounded one never."""
+
+    def measure(scenarios, folder=None):
+        return {
+            name: pd.DataFrame(
+                [
+                    dict(
+                        arrived=each.estimator == "bounded_ekf" or each.seed not in lost_in,
+                        max_error_true_m=0.1,
+                    )
+                    for each in part
+                ]
+            )
+            for part_of_kind in scenarios.values()
+            for name, part in part_of_kind.items()
+        }
+
+    monkeypatch.setattr(run_sets, "measure", measure)
+    _, findings, _, looks = evidence.collect(M9, [20, 80, 300])
+    found = findings["M9"]["as printed"]
+    assert (found.n, found.verdict, looks["M9"]["as printed"]) == (300, verdict, 0.95)
+
+
+@pytest.mark.parametrize("fields", [[], [200, 40], [40, 40]])
+def test_looks_that_do_not_rise_are_refused(fields):
+    with pytest.raises(ValueError, match=r"fields was .*; it should have a number for each look"):
+        evidence.collect(B6, fields)
+
+
+def test_a_verdict_of_an_early_look_needs_a_wider_interval():
     values = NORMAL + 0.2  # 2.8 standard errors above 0
     assert statistics.mean(values, above=0).verdict == HOLDS
-    first = statistics.mean(values, above=0, confidence=statistics.FIRST_CONFIDENCE)
+    first = statistics.mean(values, above=0, confidence=statistics.EARLY_CONFIDENCE)
     assert first.verdict == UNDECIDED
     assert first[:4] == statistics.mean(values, above=0)[:4]  # the interval shown is the same
 
 
-def test_two_looks_are_wrong_as_seldom_as_they_say():
-    """No effect at all, 2,000 times: how often one of the two looks says that there is one."""
+def test_three_looks_are_wrong_as_seldom_as_they_say():
+    """No effect at all, 2,000 times: how often one of the looks says that there is one."""
     rng = np.random.default_rng(3)
+    early = statistics.EARLY_CONFIDENCE
     wrong = 0
     for _ in range(2000):
-        values = rng.normal(size=200)
-        first = statistics.mean(values[:40], above=0, confidence=statistics.FIRST_CONFIDENCE)
-        last = statistics.mean(values, above=0)
-        wrong += (last if first.verdict == UNDECIDED else first).verdict != UNDECIDED
-    assert 0.03 < wrong / 2000 < two_looks.ERROR_RATE + 0.015
+        values = rng.normal(size=1000)
+        looks = [(40, early), (200, early), (1000, statistics.CONFIDENCE)]
+        found = [statistics.mean(values[:n], above=0, confidence=each) for n, each in looks]
+        wrong += any(finding.verdict != UNDECIDED for finding in found)
+    assert 0.03 < wrong / 2000 < 0.052 + 0.015
 
 
 # Verdicts in words

@@ -32,7 +32,7 @@ class Small(NamedTuple):
 
 NOTEBOOKS = {
     "06_claims": Small(
-        dict(first=40, seeds=40, posterior=10, world_fields=3), ("claims", "claims_coverage")
+        dict(looks=[40], posterior=10, world_fields=3), ("claims", "claims_coverage")
     ),
     "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
     "08_interpretations": Small(
