@@ -15,7 +15,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import docstring_parser
 import numpy as np
@@ -40,6 +40,7 @@ _PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations"
 _INSTALL_COMPLETION = "--install-completion"
 _Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 _Json = Annotated[_Flag, Parameter("--json")]
+_World = Annotated[str, Parameter(choices=tuple(rhec.WORLDS))]
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -143,12 +144,22 @@ def _options_of(function, group, skipped=(), with_defaults=True):
             help=" ".join(texts[name].split()),
             group=group(name) if callable(group) else group,
             show_default=_shown if is_shown else False,
+            choices=_choices_of(each.annotation),
+            show_choices=False,  # the text names them
         )
         # The function itself checks the values; only flags have none.
         is_flag = bool in (each.annotation, *get_args(each.annotation))
         taken = Annotated[each.annotation, look] if is_flag else Annotated[Any, _VALUE, look]
         options.append(each.replace(annotation=taken))
     return options
+
+
+def _choices_of(annotation):
+    """The values of a choice of a few, as the words that a shell completes; else None."""
+    if get_origin(annotation) is tuple:
+        return None  # its words are lists
+    literals = [part for part in (annotation, *get_args(annotation)) if get_origin(part) is Literal]
+    return [str(value) for part in literals for value in get_args(part)] or None
 
 
 def _shown(default):
@@ -195,8 +206,6 @@ def _group_of(field):
 
 def _scenario_of(world, fields):
     """The Scenario of the given fields, in the world of this name."""
-    if world not in rhec.WORLDS:
-        raise ValueError(f"world was {world!r}; it should be one of {', '.join(rhec.WORLDS)}")
     return rhec.Scenario(**rhec.WORLDS[world] | fields)
 
 
@@ -216,7 +225,7 @@ def _refuse_output(option, file, overwrite, suffixes=()):
 
 def simulate(
     *,
-    world: str = "default",
+    world: _World = "default",
     log: Path | None = None,
     plot: Path | None = None,
     as_json: _Json = False,
@@ -483,7 +492,7 @@ def _replay_options():
 # The robot, and the checkout
 
 
-def export(folder: Path, /, *, world: str = "default", **given: Any):
+def export(folder: Path, /, *, world: _World = "default", **given: Any):
     """Write estimator and controller as C99.
 
     For example: rhec export code --prediction-horizon 10
