@@ -27,7 +27,7 @@ from docs.live.plants import plants_of
 from docs.site.content_policy import live_policy
 from rhec import paper
 from rhec.core._casadi.build import packed_size
-from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
+from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH
 from rhec.explorer.explorer import METRICS
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.columns import COLUMNS
@@ -234,7 +234,7 @@ def _world():
         metrics=METRICS,
         noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
         n_fault=packed_size(faults.STREAM),
-        faults={name: f"({', '.join(map(line_of, fault))},)" for name, fault in FAULTS.items()},
+        faults={name: f"({', '.join(map(repr, fault))},)" for name, fault in FAULTS.items()},
         shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
         seeds=[*SEEDS],
         soils=SOILS,

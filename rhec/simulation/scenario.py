@@ -71,8 +71,6 @@ class Scenario:
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
     holds it, one sample later (R16)."""
-    sensors: options.Sensors = ()
-    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -180,6 +178,8 @@ class Scenario:
     Gauss-Markov process of time [rad]. 0: none."""
     side_slip_time_s: valid.Positive = 1.5
     """Time constant of that side slip [s]."""
+    sensors: options.Sensors = ()
+    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     gyro_sigma_radps: valid.NotNegative = 0.01
     """Standard deviation of the error of the gyro's mean over a sample, where `sensors` has a gyro
     [rad/s]."""
