@@ -1,6 +1,6 @@
 """The command `rhec`: the functions of the package from a shell.
 
-Its options are made of signatures and docstrings, and of the fields of a Scenario, so each text
+Its options are made of signatures and docstrings, and of the parameters of a Scenario, so each text
 stands once. A mistake in an argument gives one sentence and exit code 2, a failure of the system
 one sentence and 1, Ctrl-C one line and 130; `rhec doctor` returns 1 where it found something.
 """
@@ -31,7 +31,7 @@ _ABOUT = (
     "of any robot."
 )
 _PROJECT = Path(__file__).resolve().parents[1]
-# Fields of a Scenario whose values are objects, which a shell cannot write.
+# Parameters of a Scenario whose values are objects, which a shell cannot write.
 _OBJECTS = ("terrain", "path", "faults", "controller")
 _OF_MODELS = ("model", "delays_s")  # likewise
 _ROBOT, _THE_REPLAY = (Group(name, sort_key=1) for name in ("the robot", "the replay"))
@@ -190,12 +190,12 @@ def _given_to(function, given):
 
 
 def _fields():
-    """The options of a Scenario's fields, by groups."""
+    """The options of a Scenario's parameters, by groups."""
     return _options_of(rhec.Scenario, _group_of, _OBJECTS)
 
 
 def _group_of(field):
-    """The group of options of a Scenario's field."""
+    """The group of options of a Scenario's parameter."""
     from rhec.simulation.scenario_fields import fields_of
 
     fields = fields_of(rhec.Scenario)
@@ -482,7 +482,7 @@ def replay(
 def _replay_options():
     from rhec.logs.replay import ESTIMATOR_FIELDS
 
-    # Of the other fields a replay takes none, and of these it has defaults of its own.
+    # Of the other parameters a replay takes none, and of these it has defaults of its own.
     others = {*_keywords(rhec.Scenario)} - {*ESTIMATOR_FIELDS}
     fields = _options_of(rhec.Scenario, _group_of, others, with_defaults=False)
     own = _options_of(rhec.replay, _THE_REPLAY, _OF_MODELS)

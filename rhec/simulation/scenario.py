@@ -1,7 +1,7 @@
 """A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md).
 
-The text below each field says what it means, with its unit in brackets. Its annotation says which
-values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
+The text below each parameter says what it means, with its unit in brackets. Its annotation says
+which values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
 """
 
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -101,8 +101,8 @@ class Scenario:
     linearised model; "sample_before": the preparation uses those of the sample before;
     "prepared_anew": the preparation waits for those of the newest sample (R15)."""
     controller: Annotated[Literal["rhc"] | Controller, SkipValidation] = "rhc"
-    """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the fields
-    above and of what the loop knows."""
+    """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the
+    parameters above and of what the loop knows."""
 
     # The drive
 
@@ -272,8 +272,8 @@ def _check_fits_estimator(scenario):
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
 
 
-class _FieldsAsDocstring:
-    """Scenario's docstring, made when it is read, because no run needs the texts of the fields."""
+class _TextsAsDocstring:
+    """The texts, made into a docstring when it is read, because no run needs them."""
 
     def __get__(self, scenario, owner):
         from rhec.simulation.scenario_fields import docstring
@@ -281,4 +281,4 @@ class _FieldsAsDocstring:
         return docstring(owner)
 
 
-Scenario.__doc__ = _FieldsAsDocstring()
+Scenario.__doc__ = _TextsAsDocstring()

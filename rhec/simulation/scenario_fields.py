@@ -1,4 +1,4 @@
-"""What each field of Scenario means: its group, text, unit and range, for help and menus.
+"""What each parameter of Scenario means: its group, text, unit and range, for help and menus.
 
 The texts stand in Scenario, below its fields. No run imports this module.
 """
@@ -25,7 +25,7 @@ _GROUPS = dict(
 
 
 class Field(NamedTuple):
-    """What one field of Scenario is.
+    """What one parameter of Scenario is.
 
     Attributes:
         group: The group of fields that it belongs to.
