@@ -705,7 +705,7 @@ def replay(
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
-        `rhec.simulation.log_page` documents the columns. With a model it has the measurements under
+        docs/log_columns.md documents the columns. With a model it has the measurements under
         the names of the outputs, `<name>_hat` for each state, input and parameter, `<name>_sigma`,
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
