@@ -196,12 +196,10 @@ def _fields():
 
 def _group_of(field):
     """The group of options of a Scenario's parameter."""
-    from rhec.simulation.scenario_fields import fields_of
+    from rhec.simulation.scenario_fields import GROUPS, fields_of
 
-    fields = fields_of(rhec.Scenario)
-    groups = list(dict.fromkeys(each.group for each in fields.values()))
-    group = fields[field].group
-    return Group(group, sort_key=groups.index(group) + 2)
+    group = fields_of(rhec.Scenario)[field].group
+    return Group(group, sort_key=[*GROUPS.values()].index(group) + 2)
 
 
 def _scenario_of(world, fields):

@@ -204,9 +204,14 @@ class Scenario:
             A DataFrame with one row for each parameter, by its name: its default, unit and group
             ("the estimator", "the controller", …), and what it does.
         """
-        from rhec.simulation.scenario_fields import description
+        import pandas as pd  # imported here, because it takes as long as the rest of the package
 
-        return description(cls)
+        from rhec.simulation.scenario_fields import fields_of
+
+        fields = fields_of(cls)
+        rows = [(getattr(cls, name), of.unit, of.group, of.text) for name, of in fields.items()]
+        columns = ["default", "unit", "group", "what it does"]
+        return pd.DataFrame(rows, pd.Index([*fields], name="name"), columns)
 
     def __post_init__(self):
         if isinstance(self.estimator, ca.Function):

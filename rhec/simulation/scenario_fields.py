@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-# The groups of the fields, by the first field of each.
-_GROUPS = dict(
+# The groups of the parameters, by the first one of each.
+GROUPS = dict(
     estimator="the estimator",
     q="the controller",
     speed_mps="the drive",
@@ -52,7 +52,7 @@ def fields_of(scenario_class):
     fields = {}
     group = None
     for name, text in _texts_of(scenario_class).items():
-        group = _GROUPS.get(name, group)
+        group = GROUPS.get(name, group)
         unit = re.search(r" \[(.*?)\]", text)
         text = text.replace(unit[0], "") if unit else text
         values = _values_of(scenario_class.__pydantic_fields__[name])
@@ -118,22 +118,10 @@ def _described(name, field):
     return textwrap.fill(" ".join(sentences), 92, break_on_hyphens=False, **indents)
 
 
-def description(scenario_class):
-    """The table of `Scenario.describe`."""
-    import pandas as pd  # imported here, because it takes as long as the rest of the package
-
-    rows = [
-        (name, getattr(scenario_class, name), field.unit, field.group, field.text)
-        for name, field in fields_of(scenario_class).items()
-    ]
-    columns = ["name", "default", "unit", "group", "what it does"]
-    return pd.DataFrame(rows, columns=columns).set_index("name")
-
-
 def docstring(scenario_class):
     """Scenario's docstring: one entry for each field, by groups."""
-    *others, last = _GROUPS.values()
-    entries = {group: [] for group in _GROUPS.values()}
+    *others, last = GROUPS.values()
+    entries = {group: [] for group in GROUPS.values()}
     for name, field in fields_of(scenario_class).items():
         entries[field.group].append(_described(name, field))
     return f"""One closed-loop run. SI units; angles in radians.
