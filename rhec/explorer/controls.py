@@ -45,14 +45,14 @@ class Selection(NamedTuple):
 
 
 def _slider(field, name, low, high, step, kind="real"):
-    """The Slider of a field."""
+    """The Slider of a parameter."""
     unit = _FIELDS[field].unit
     label = f"{name} [{unit}]" if unit else name
     return Slider(field, label, low, high, step, _FIELDS[field].text, kind)
 
 
 def _entries(field, symbol, names, low, high, step, kind="real"):
-    """One Slider for each entry of a field."""
+    """One Slider for each entry of a parameter."""
     tooltip = _FIELDS[field].text
     return [
         Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
@@ -61,7 +61,7 @@ def _entries(field, symbol, names, low, high, step, kind="real"):
 
 
 def _selection(field, name, labels):
-    """The Selection of a field; labels: the names of its choices."""
+    """The Selection of a parameter; labels: the names of its choices."""
     options = tuple(zip(labels, _FIELDS[field].choices, strict=True))
     return Selection(field, name, options, _FIELDS[field].text)
 

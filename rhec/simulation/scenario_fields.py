@@ -1,6 +1,6 @@
 """What each parameter of Scenario means: its group, text, unit and range, for help and menus.
 
-The texts stand in Scenario, below its fields. No run imports this module.
+The texts stand in Scenario, below its parameters. No run imports this module.
 """
 
 import ast
@@ -28,12 +28,12 @@ class Field(NamedTuple):
     """What one parameter of Scenario is.
 
     Attributes:
-        group: The group of fields that it belongs to.
+        group: Its group, one of GROUPS.
         text: What it means, without unit and range.
         unit: Its unit, "" where it has none.
         lowest: Least value of it, or of each of its entries; None where there is none.
         highest: Largest value, likewise.
-        choices: The values of a field that is a choice of a few, else ().
+        choices: The values of a choice of a few, else ().
         above_lowest: Whether it must be above `lowest`.
     """
 
@@ -61,7 +61,7 @@ def fields_of(scenario_class):
 
 
 def _texts_of(scenario_class):
-    """{name: text} of the string below each field, which Python itself does not keep."""
+    """{name: text} of the string below each parameter, which Python itself does not keep."""
     (definition,) = ast.parse(inspect.getsource(scenario_class)).body
     return {
         field.target.id: " ".join(below.value.value.split())
@@ -104,7 +104,7 @@ def _flat(metadata):
 
 
 def _described(name, field):
-    """A field's entry in the docstring: unit and range follow the first sentence of its text."""
+    """An entry of the docstring: unit and range follow the first sentence of the text."""
     # "eq. (22)" does not end a sentence.
     first, *rest = re.split(r"(?<!eq)\. ", field.text, maxsplit=1)
     unit = f" [{field.unit}]" if field.unit else ""
@@ -119,7 +119,7 @@ def _described(name, field):
 
 
 def docstring(scenario_class):
-    """Scenario's docstring: one entry for each field, by groups."""
+    """Scenario's docstring: one entry for each parameter, by groups."""
     *others, last = GROUPS.values()
     entries = {group: [] for group in GROUPS.values()}
     for name, field in fields_of(scenario_class).items():
