@@ -192,7 +192,7 @@ def convert(frame, source):
         source: Its table in recordings.toml.
 
     Returns:
-        DataFrame with the columns of a recording (`rhec.simulation.log_page`). Each of its segments
+        DataFrame with the columns of a recording (docs/log_columns.md). Each of its segments
         is without a break; times and positions begin at 0.
     """
     pieces = _pieces_of_rows if "ros_time" in frame else _pieces_of_windows

@@ -63,8 +63,8 @@ def parameters(namespace):
 
     The cell tagged `parameters` declares each of them as `name: type = default  # [unit] meaning`.
     The type is `int`, `float`, `bool`, `str`, `whole(1, 9)`, `real(0, 1)`, a `Literal` or a
-    `list[...]`. Of a parameter named like a field of `rhec.Scenario`, a plain type means the
-    values that the field takes.
+    `list[...]`. Of a parameter named like one of `rhec.Scenario`, a plain type means the
+    values that it takes there.
 
     Args:
         namespace: The notebook's `globals()`, right after that cell.

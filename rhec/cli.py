@@ -1,6 +1,6 @@
 """The command `rhec`: the functions of the package from a shell.
 
-Its options are made of signatures and docstrings, and of the fields of a Scenario, so each text
+Its options are made of signatures and docstrings, and of the parameters of a Scenario, so each text
 stands once. A mistake in an argument gives one sentence and exit code 2, a failure of the system
 one sentence and 1, Ctrl-C one line and 130; `rhec doctor` returns 1 where it found something.
 """
@@ -15,7 +15,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import docstring_parser
 import numpy as np
@@ -31,7 +31,7 @@ _ABOUT = (
     "of any robot."
 )
 _PROJECT = Path(__file__).resolve().parents[1]
-# Fields of a Scenario whose values are objects, which a shell cannot write.
+# Parameters of a Scenario whose values are objects, which a shell cannot write.
 _OBJECTS = ("terrain", "path", "faults", "controller")
 _OF_MODELS = ("model", "delays_s")  # likewise
 _ROBOT, _THE_REPLAY = (Group(name, sort_key=1) for name in ("the robot", "the replay"))
@@ -40,6 +40,7 @@ _PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations"
 _INSTALL_COMPLETION = "--install-completion"
 _Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 _Json = Annotated[_Flag, Parameter("--json")]
+_World = Annotated[str, Parameter(choices=tuple(rhec.WORLDS))]
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -143,12 +144,22 @@ def _options_of(function, group, skipped=(), with_defaults=True):
             help=" ".join(texts[name].split()),
             group=group(name) if callable(group) else group,
             show_default=_shown if is_shown else False,
+            choices=_choices_of(each.annotation),
+            show_choices=False,  # the text names them
         )
         # The function itself checks the values; only flags have none.
         is_flag = bool in (each.annotation, *get_args(each.annotation))
         taken = Annotated[each.annotation, look] if is_flag else Annotated[Any, _VALUE, look]
         options.append(each.replace(annotation=taken))
     return options
+
+
+def _choices_of(annotation):
+    """The values of a choice of a few, as the words that a shell completes; else None."""
+    if get_origin(annotation) is tuple:
+        return None  # its words are lists
+    literals = [part for part in (annotation, *get_args(annotation)) if get_origin(part) is Literal]
+    return [str(value) for part in literals for value in get_args(part)] or None
 
 
 def _shown(default):
@@ -179,24 +190,20 @@ def _given_to(function, given):
 
 
 def _fields():
-    """The options of a Scenario's fields, by groups."""
+    """The options of a Scenario's parameters, by groups."""
     return _options_of(rhec.Scenario, _group_of, _OBJECTS)
 
 
 def _group_of(field):
-    """The group of options of a Scenario's field."""
-    from rhec.simulation.scenario_fields import fields_of
+    """The group of options of a Scenario's parameter."""
+    from rhec.simulation.scenario_fields import GROUPS, fields_of
 
-    fields = fields_of(rhec.Scenario)
-    groups = list(dict.fromkeys(each.group for each in fields.values()))
-    group = fields[field].group
-    return Group(group, sort_key=groups.index(group) + 2)
+    group = fields_of(rhec.Scenario)[field].group
+    return Group(group, sort_key=[*GROUPS.values()].index(group) + 2)
 
 
 def _scenario_of(world, fields):
     """The Scenario of the given fields, in the world of this name."""
-    if world not in rhec.WORLDS:
-        raise ValueError(f"world was {world!r}; it should be one of {', '.join(rhec.WORLDS)}")
     return rhec.Scenario(**rhec.WORLDS[world] | fields)
 
 
@@ -216,7 +223,7 @@ def _refuse_output(option, file, overwrite, suffixes=()):
 
 def simulate(
     *,
-    world: str = "default",
+    world: _World = "default",
     log: Path | None = None,
     plot: Path | None = None,
     as_json: _Json = False,
@@ -473,7 +480,7 @@ def replay(
 def _replay_options():
     from rhec.logs.replay import ESTIMATOR_FIELDS
 
-    # Of the other fields a replay takes none, and of these it has defaults of its own.
+    # Of the other parameters a replay takes none, and of these it has defaults of its own.
     others = {*_keywords(rhec.Scenario)} - {*ESTIMATOR_FIELDS}
     fields = _options_of(rhec.Scenario, _group_of, others, with_defaults=False)
     own = _options_of(rhec.replay, _THE_REPLAY, _OF_MODELS)
@@ -483,7 +490,7 @@ def _replay_options():
 # The robot, and the checkout
 
 
-def export(folder: Path, /, *, world: str = "default", **given: Any):
+def export(folder: Path, /, *, world: _World = "default", **given: Any):
     """Write estimator and controller as C99.
 
     For example: rhec export code --prediction-horizon 10

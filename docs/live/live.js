@@ -115,7 +115,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     return loop;
   }
 
-  // What `set_up` in rhec/simulation/closed_loop.py makes of fields of Scenario.
+  // What `set_up` in rhec/simulation/closed_loop.py makes of parameters of Scenario.
   set(values) {
     const square = each => each * each; // the bits of numpy.square
     const settings = {

@@ -27,7 +27,7 @@ from docs.live.plants import plants_of
 from docs.site.content_policy import live_policy
 from rhec import paper
 from rhec.core._casadi.build import packed_size
-from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, line_of
+from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH
 from rhec.explorer.explorer import METRICS
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.columns import COLUMNS
@@ -57,7 +57,7 @@ FAULTS = {  # the page's robots have GNSS and encoders alone
     if of and not any(fault.channel in faults.SENSOR_CHANNELS for fault in of)
 }
 _ANY_FAULT = next(iter(FAULTS.values()))
-# The compiled modules: fields of Scenario that decide the structure of the loop.
+# The compiled modules: parameters of Scenario that decide the structure of the loop.
 STRUCTURES = {
     "rhe": {},
     "ekf": dict(estimator="ekf"),
@@ -69,12 +69,12 @@ SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
 # What scripts need of a step of the story; its template has the rest.
 _TOLD = ("told", "right", "wrong", "idle", "run", "controls")
-# Fields of Scenario that have sliders; none of them changes the structure of the loop.
+# Parameters of Scenario that have sliders; none of them changes the structure of the loop.
 _FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
 _FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
 _FIELDS |= {"gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "encoder_sigma_mps"}
 _FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_difference"}
-# Fields of Scenario in which the loop's first memory is affine.
+# Parameters of Scenario in which the loop's first memory is affine.
 _START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
 # Settings of the loop that come with the soil.
 _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
@@ -136,7 +136,7 @@ def seed_data(seed):
 def affine_memory(own):
     """The loop's first memory m = m_0 + Σ value · direction, for the structure of Scenario(**own).
 
-    It consists of constants and copies of pose, guess and speed, which are affine in the fields
+    It consists of constants and copies of pose, guess and speed, which are affine in the parameters
     of _START. Returns m_0 (n,) and {field: direction (n,)}.
     """
 
@@ -234,7 +234,7 @@ def _world():
         metrics=METRICS,
         noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
         n_fault=packed_size(faults.STREAM),
-        faults={name: f"({', '.join(map(line_of, fault))},)" for name, fault in FAULTS.items()},
+        faults={name: f"({', '.join(map(repr, fault))},)" for name, fault in FAULTS.items()},
         shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
         seeds=[*SEEDS],
         soils=SOILS,

@@ -20,6 +20,7 @@ from notebooks.studies import condensed
 from rhec import paper
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.simulate import simulate
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.references import PathTracker
 
 __all__ = [
@@ -55,7 +56,8 @@ def phases(scenario, controller):
     """
     (run,) = simulate([scenario])  # one run does not pay for compiling its loop
     guess = (*run.log.loc[0, POSE], scenario.speed_mps, 1.0, 1.0)
-    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=guess)
+    noise = tuning.process_noise_of(scenario)
+    estimator = rhec.RHE(process_noise=noise, guess=guess)
     controller = controller(q=scenario.q, r=scenario.r)
     tracker = PathTracker(run.path)
     measurements = run.log[MEASUREMENTS].to_numpy()

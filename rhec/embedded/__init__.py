@@ -215,7 +215,7 @@ def _refuse_folders(folder, names):
 
 
 def _as_json(scenario):
-    """All fields of the scenario as JSON."""
+    """All parameters of the scenario as JSON."""
 
     def plain(value):
         if dataclasses.is_dataclass(value):

@@ -1,11 +1,11 @@
 """The controls of the explorer, and the conversion of their values to scenarios and back.
 
-The key of a control is a field of Scenario, or (field, index) for one entry of a tuple. Units,
-tooltips and choices come from `fields_of`; a control adds a short label and the range of a slider.
+The key of a control is a parameter of Scenario, or (parameter, index) for one entry of a tuple.
+Groups, units, tooltips and choices come from `scenario_fields`; a control adds a short label and
+the range of a slider.
 """
 
 import math
-from dataclasses import fields
 from typing import NamedTuple
 
 from rhec.simulation.faults import SENSOR_CHANNELS, Fault
@@ -45,14 +45,14 @@ class Selection(NamedTuple):
 
 
 def _slider(field, name, low, high, step, kind="real"):
-    """The Slider of a field."""
+    """The Slider of a parameter."""
     unit = _FIELDS[field].unit
     label = f"{name} [{unit}]" if unit else name
     return Slider(field, label, low, high, step, _FIELDS[field].text, kind)
 
 
 def _entries(field, symbol, names, low, high, step, kind="real"):
-    """One Slider for each entry of a field."""
+    """One Slider for each entry of a parameter."""
     tooltip = _FIELDS[field].text
     return [
         Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
@@ -61,7 +61,7 @@ def _entries(field, symbol, names, low, high, step, kind="real"):
 
 
 def _selection(field, name, labels):
-    """The Selection of a field; labels: the names of its choices."""
+    """The Selection of a parameter; labels: the names of its choices."""
     options = tuple(zip(labels, _FIELDS[field].choices, strict=True))
     return Selection(field, name, options, _FIELDS[field].text)
 
@@ -105,62 +105,57 @@ _SENSORS = (
     ("a heading", ("heading",)),
     ("gyro and heading", ("gyro", "heading")),
 )
-GROUPS = {
-    "Estimator": (
-        _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
-        _selection("speed_model", "speed ν", _SPEEDS),
-        _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
-        *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
-    ),
-    "Controller": (
-        *_entries("q", "Q", ("x", "y", "θ"), 0, 20, 0.5),
-        _slider("r", "R", -1, 3, 0.05, "log"),
-        _slider("qn_factor", "Q_N / Q", 0, 50, 0.5),
-        _slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "whole"),
-        _slider("look_ahead_m", "look-ahead", 0, 3, 0.05),
-        _slider("omega_max_radps", "ω_max", 0.02, 0.5, 0.01),
-        _selection("input_reference", "ω_r", ("measured, held", "curvature")),
-        _selection("command_delay", "command", ("at once", "a sample later")),
-    ),
-    "Drive": (
-        _slider("speed_mps", "speed", 0.1, 1.4, 0.02),
-        _slider("duration_s", "duration", 20, 600, 10),
-        _slider("start_offset_m", "start beside", -3, 3, 0.1),
-        _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
-        _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
-        _selection("backwards", "backwards", _NO_YES),
-        _slider("row_length_m", "row length", 10, 100, 1),
-        _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
-    ),
-    "Soil": (
-        _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
-        _slider("mu_deviation", "μ deviation", 0, 0.3, 0.01),
-        _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
-        _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
-        _slider("correlation_length_m", "correlation", 0.5, 20, 0.5),
-        _selection("soil_under", "soil below", _SOIL_UNDER),
-        _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
-    ),
-    "Sensors": (
-        _slider("gnss_sigma_m", "GNSS noise", 0, 0.2, 0.005),
-        _slider("gnss_slow_share", "slow share", 0, 1, 0.05),
-        _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
-        _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
-        _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
-        _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
-        _slider("rut_length_m", "ruts over", 0, 3, 0.1),
-        _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
-        _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
-        Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
-        _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
-        _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
-        _slider("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
-        _slider("heading_sigma_rad", "heading noise", 0, 0.2, 0.005),
-        Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
-        *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
-    ),
-}
-CONTROLS = {control.key: control for group in GROUPS.values() for control in group}
+_CONTROLS = (
+    _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
+    _selection("speed_model", "speed ν", _SPEEDS),
+    _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
+    *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
+    *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
+    *_entries("q", "Q", ("x", "y", "θ"), 0, 20, 0.5),
+    _slider("r", "R", -1, 3, 0.05, "log"),
+    _slider("qn_factor", "Q_N / Q", 0, 50, 0.5),
+    _slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "whole"),
+    _slider("look_ahead_m", "look-ahead", 0, 3, 0.05),
+    _slider("omega_max_radps", "ω_max", 0.02, 0.5, 0.01),
+    _selection("input_reference", "ω_r", ("measured, held", "curvature")),
+    _selection("command_delay", "command", ("at once", "a sample later")),
+    _slider("speed_mps", "speed", 0.1, 1.4, 0.02),
+    _slider("duration_s", "duration", 20, 600, 10),
+    _slider("start_offset_m", "start beside", -3, 3, 0.1),
+    _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
+    _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
+    _selection("backwards", "backwards", _NO_YES),
+    _slider("row_length_m", "row length", 10, 100, 1),
+    _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
+    _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
+    _slider("mu_deviation", "μ deviation", 0, 0.3, 0.01),
+    _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
+    _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
+    _slider("correlation_length_m", "correlation", 0.5, 20, 0.5),
+    _selection("soil_under", "soil below", _SOIL_UNDER),
+    _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
+    _slider("gnss_sigma_m", "GNSS noise", 0, 0.2, 0.005),
+    _slider("gnss_slow_share", "slow share", 0, 1, 0.05),
+    _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
+    _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
+    _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
+    _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
+    _slider("rut_length_m", "ruts over", 0, 3, 0.1),
+    _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
+    _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
+    Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
+    _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
+    _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
+    _slider("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
+    _slider("heading_sigma_rad", "heading noise", 0, 0.2, 0.005),
+    Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
+)
+CONTROLS = {control.key: control for control in _CONTROLS}
+# {title of a tab: its controls}, in the groups of `Scenario.describe`
+GROUPS = {}
+for _control in _CONTROLS:
+    _name = _control.key[0] if isinstance(_control.key, tuple) else _control.key
+    GROUPS.setdefault(_FIELDS[_name].group.removeprefix("the ").capitalize(), []).append(_control)
 
 # Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
 PATCH = (
@@ -207,7 +202,7 @@ def scenario_of(values, estimator, start):
     Args:
         values: As `values_of` returns them.
         estimator: As in Scenario.
-        start: The Scenario that provides the fields without a control.
+        start: The Scenario that provides the parameters without a control.
 
     Returns:
         A Scenario.
@@ -260,25 +255,3 @@ def tidy(control, value, before):
     if control.kind == "whole":
         return int(value)
     return float(f"{value:.4g}") if control.kind == "log" else round(float(value), 10)
-
-
-def line_of(record):
-    """A Scenario or Fault as one line of Python, without fields that have their default.
-
-    A user-defined path, terrain or estimator appears as the name of its field.
-    """
-    arguments = [
-        f"{field.name}={_as_code(getattr(record, field.name), field.name)}"
-        for field in fields(record)
-        if getattr(record, field.name) != field.default
-    ]
-    return f"rhec.{type(record).__name__}({', '.join(arguments)})"
-
-
-def _as_code(value, name):
-    if isinstance(value, tuple):
-        entries = ", ".join(_as_code(entry, name) for entry in value)
-        return f"({entries}{',' if len(value) == 1 else ''})"
-    if isinstance(value, Fault):
-        return line_of(value)
-    return repr(value) if isinstance(value, bool | int | float | str) else name

@@ -331,7 +331,7 @@ class Explorer(widgets.VBox):
         picture = field_run.picture_of(self.runs, self.pinned, self.zoom.value, soil)
         self.screen.picture, self.screen.numbers = packed(picture)
         self.screen.table = metrics_table(self.runs, self.pinned)
-        self.screen.line = controls.line_of(self.runs[0].scenario)
+        self.screen.line = repr(self.runs[0].scenario)
 
     def _show_process_noise(self):
         """Set the sliders of σ_W to the W in use; a custom W enables them."""
@@ -365,7 +365,7 @@ class Explorer(widgets.VBox):
             f"true {run.metrics['mean_error_true_m']:.4f} m"
             for run in self.runs
         ]
-        return "\n  ".join(["Explorer", *errors, controls.line_of(self.runs[0].scenario)])
+        return "\n  ".join(["Explorer", *errors, repr(self.runs[0].scenario)])
 
     def figure(self) -> "Figure":
         """The field run as a matplotlib figure."""

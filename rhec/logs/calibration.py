@@ -149,7 +149,7 @@ def _values(x, names):
 
 
 def _fields(x, robot):
-    """The fields of a Scenario at the point x of the search."""
+    """The parameters of a Scenario at the point x of the search."""
     names = robot.sensors
     values = iter(_values(x, names))
     position, speed, yaw_rate = itertools.islice(values, 3)

@@ -696,7 +696,7 @@ def replay(
         smooth: Whether each estimate takes later measurements into account, too: by default that
             of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
             smoothed as well.
-        **fields: Fields of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
+        **fields: Parameters of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The
             default speed_model is "slipping": "input" (interpretation R13) with noise that grows
             with the motion. With "slipping" the estimator "rhe"
@@ -705,7 +705,7 @@ def replay(
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
-        `rhec.simulation.log_page` documents the columns. With a model it has the measurements under
+        docs/log_columns.md documents the columns. With a model it has the measurements under
         the names of the outputs, `<name>_hat` for each state, input and parameter, `<name>_sigma`,
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
@@ -807,18 +807,18 @@ def replay_scenario(estimator, recording, fields):
     Args:
         estimator: As in `replay`.
         recording: The Recording.
-        fields: {name: value} of Scenario's fields, among those that `replay` takes.
+        fields: {name: value} of Scenario's parameters, among those that `replay` takes.
 
     Returns:
         Scenario, with a replay's defaults.
 
     Raises:
-        ValueError: For a field that a replay does not take, or an estimator that needs the truth.
+        ValueError: For a parameter that no replay takes, or an estimator that needs the truth.
     """
     unknown = [name for name in fields if name not in ESTIMATOR_FIELDS]
     if unknown:
         raise ValueError(
-            f"replay has no parameter {unknown[0]!r}; of Scenario's fields it takes "
+            f"replay has no parameter {unknown[0]!r}; of Scenario's parameters it takes "
             f"{', '.join(ESTIMATOR_FIELDS)}"
         )
     fields = dict(speed_model="slipping") | fields

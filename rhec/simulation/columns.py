@@ -1,4 +1,4 @@
-"""Names of the columns of every log and table of samples; `log_page` says what each one holds."""
+"""Names of the columns of every log and table of samples; docs/log_columns.md says more."""
 
 from itertools import chain
 

@@ -48,9 +48,9 @@ OWN_CHANNELS = {"outliers": ("gnss",), "jump": ("gnss",), "dead": ("left", "righ
 
 
 def as_python(record):
-    """A Scenario or a Fault as one line of Python, without the fields that are as by default.
+    """A Scenario or a Fault as one line of Python, without what is as by default.
 
-    An object of the user, such as a path, stands there by the name of its field.
+    An object of the user, such as a path, stands there by the name of its parameter.
     """
     arguments = [
         f"{field.name}={_value_as_python(getattr(record, field.name), field.name)}"

@@ -1,5 +1,6 @@
 """Errors, violations, settling time: what is reported of a run."""
 
+import html
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,46 @@ from rhec.tracked_robot.path import ahead_and_left
 SETTLING_SAMPLES = round(5 / paper.DT_S)
 
 
+# Unit and definition of each metric, in the order of `metrics`. "Settled" samples are those from
+# the end of the 5 s that make the robot settled; of a run that never settles, all samples.
+METRICS = {
+    "settling_time_s": ("s", "when the true error begins to stay below 0.12 m for 5 s; or NaN"),
+    "mean_error_m": ("m", "mean of `error_m` where there is a position, as in the paper (R11)"),
+    "mean_error_true_m": ("m", "mean of `error_true_m`"),
+    "max_error_true_m": ("m", "largest `error_true_m`"),
+    # The reference is the corner of a robot that stands in the middle of its row, not turned.
+    "max_corner_error_true_m": ("m", "on straights: how much nearer to the crop a corner is"),
+    "mean_speed_mps": ("m/s", "mean of the tracks' speed, as an absolute value"),
+    "violations": ("samples", "samples on straights with `error_m` above 0.12 m (R14)"),
+    "violations_true": ("samples", "samples on straights with `error_true_m` above 0.12 m"),
+    "rms_mu": ("-", "RMS error of the estimated μ"),
+    "rms_kappa": ("-", "RMS error of the estimated κ"),
+    "rms_yaw_rad": ("rad", "RMS error of the estimated yaw"),
+    "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (R14)"),
+    "overshoot_m": ("m", "on the first row: the largest distance beyond the path from the start"),
+    "omega_peak_radps": ("rad/s", "largest absolute commanded yaw rate of the whole run"),
+    "kkt_rhe_median": ("", "median of `kkt_rhe` (R12)"),
+    "kkt_rhc_median": ("", "median of `kkt_rhc` (R12)"),
+    "solver_ok": ("", "whether every QP was solved; it says nothing of the errors"),
+}
+
+
 class Metrics(dict[str, Any]):
     """The metrics of a run, {name: value}; a notebook shows their units, too."""
 
     def _repr_html_(self) -> str:
-        # Imported here, because only notebooks show them.
-        from rhec.simulation.run_html import table_of
-
-        return table_of(self)
+        """A table, with the units and, as tooltips, the definitions."""
+        rows = []
+        for name, value in self.items():
+            unit, text = METRICS[name]
+            shown = f"{value:.4g}" if isinstance(value, float) else value
+            cells = f"<td>{name}</td><td>{shown}</td><td>{unit}</td>"
+            rows.append(f'<tr title="{html.escape(text)}">{cells}</tr>')
+        return f"<table>{''.join(rows)}</table>"
 
 
 def metrics(columns, poses):
-    """The Metrics of a run; `log_page.METRICS` has their units and definitions.
+    """The Metrics of a run.
 
     `columns` has the log's columns (n,) by name, `poses` (n, 3) the poses of the path at its points
     closest to the robot.

@@ -1,6 +1,9 @@
 """A finished run: its metrics, its log, and what it shows of itself."""
 
+import base64
 import functools
+import html
+import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,8 +25,8 @@ class Run:
 
     Attributes:
         scenario: What was run.
-        metrics: {name: value}; a notebook shows their units, and
-            `rhec.simulation.log_page.METRICS` defines them.
+        metrics: {name: value}; a notebook shows their units, and docs/log_columns.md
+            defines them.
         path: The path to follow.
         terrain: The traction of the soil.
         columns: The log's columns by name, arrays (n,).
@@ -37,7 +40,7 @@ class Run:
 
     @functools.cached_property
     def log(self) -> "pd.DataFrame":
-        """One row a sample; `rhec.simulation.log_page` says what each column is."""
+        """One row a sample; docs/log_columns.md says what each column is."""
         # pandas takes half of the time of importing this package; campaigns never look at a log.
         import pandas as pd
 
@@ -65,10 +68,14 @@ class Run:
 
     def _repr_html_(self) -> str:
         """In a notebook: the scenario, a table of the metrics, and what `plot` draws."""
-        # Imported here, because only notebooks show a run.
-        from rhec.simulation.run_html import html_of
-
-        return html_of(self)
+        picture = io.BytesIO()
+        self.plot().savefig(picture, format="png", dpi=100)
+        data = base64.b64encode(picture.getvalue()).decode()
+        return (
+            f"<p><code>{html.escape(repr(self.scenario))}</code></p>"
+            f'<div style="display: flex">{self.metrics._repr_html_()}'
+            f'<img src="data:image/png;base64,{data}" alt="path, errors and traction"></div>'
+        )
 
     def plot(self) -> "Figure":
         """Draw path and robot, the errors, and the traction with two standard deviations.

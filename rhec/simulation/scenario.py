@@ -1,7 +1,7 @@
 """A scenario: every choice behind one closed-loop run, validated (docs/interpretations.md).
 
-The text below each field says what it means, with its unit in brackets. Its annotation says which
-values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
+The text below each parameter says what it means, with its unit in brackets. Its annotation says
+which values it may have. `scenario_fields` makes the help of Scenario, and menus, from both.
 """
 
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -71,8 +71,6 @@ class Scenario:
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
     holds it, one sample later (R16)."""
-    sensors: options.Sensors = ()
-    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -103,8 +101,8 @@ class Scenario:
     linearised model; "sample_before": the preparation uses those of the sample before;
     "prepared_anew": the preparation waits for those of the newest sample (R15)."""
     controller: Annotated[Literal["rhc"] | Controller, SkipValidation] = "rhc"
-    """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the fields
-    above and of what the loop knows."""
+    """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the
+    parameters above and of what the loop knows."""
 
     # The drive
 
@@ -180,6 +178,8 @@ class Scenario:
     Gauss-Markov process of time [rad]. 0: none."""
     side_slip_time_s: valid.Positive = 1.5
     """Time constant of that side slip [s]."""
+    sensors: options.Sensors = ()
+    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     gyro_sigma_radps: valid.NotNegative = 0.01
     """Standard deviation of the error of the gyro's mean over a sample, where `sensors` has a gyro
     [rad/s]."""
@@ -204,9 +204,14 @@ class Scenario:
             A DataFrame with one row for each parameter, by its name: its default, unit and group
             ("the estimator", "the controller", …), and what it does.
         """
-        from rhec.simulation.scenario_fields import description
+        import pandas as pd  # imported here, because it takes as long as the rest of the package
 
-        return description(cls)
+        from rhec.simulation.scenario_fields import fields_of
+
+        fields = fields_of(cls)
+        rows = [(getattr(cls, name), of.unit, of.group, of.text) for name, of in fields.items()]
+        columns = ["default", "unit", "group", "what it does"]
+        return pd.DataFrame(rows, pd.Index([*fields], name="name"), columns)
 
     def __post_init__(self):
         if isinstance(self.estimator, ca.Function):
@@ -272,8 +277,8 @@ def _check_fits_estimator(scenario):
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
 
 
-class _FieldsAsDocstring:
-    """Scenario's docstring, made when it is read, because no run needs the texts of the fields."""
+class _TextsAsDocstring:
+    """The texts, made into a docstring when it is read, because no run needs them."""
 
     def __get__(self, scenario, owner):
         from rhec.simulation.scenario_fields import docstring
@@ -281,4 +286,4 @@ class _FieldsAsDocstring:
         return docstring(owner)
 
 
-Scenario.__doc__ = _FieldsAsDocstring()
+Scenario.__doc__ = _TextsAsDocstring()

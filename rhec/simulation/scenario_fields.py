@@ -1,6 +1,6 @@
-"""What each field of Scenario means: its group, text, unit and range, for help and menus.
+"""What each parameter of Scenario means: its group, text, unit and range, for help and menus.
 
-The texts stand in Scenario, below its fields. No run imports this module.
+The texts stand in Scenario, below its parameters. No run imports this module.
 """
 
 import ast
@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-# The groups of the fields, by the first field of each.
-_GROUPS = dict(
+# The groups of the parameters, by the first one of each.
+GROUPS = dict(
     estimator="the estimator",
     q="the controller",
     speed_mps="the drive",
@@ -25,15 +25,15 @@ _GROUPS = dict(
 
 
 class Field(NamedTuple):
-    """What one field of Scenario is.
+    """What one parameter of Scenario is.
 
     Attributes:
-        group: The group of fields that it belongs to.
+        group: Its group, one of GROUPS.
         text: What it means, without unit and range.
         unit: Its unit, "" where it has none.
         lowest: Least value of it, or of each of its entries; None where there is none.
         highest: Largest value, likewise.
-        choices: The values of a field that is a choice of a few, else ().
+        choices: The values of a choice of a few, else ().
         above_lowest: Whether it must be above `lowest`.
     """
 
@@ -52,7 +52,7 @@ def fields_of(scenario_class):
     fields = {}
     group = None
     for name, text in _texts_of(scenario_class).items():
-        group = _GROUPS.get(name, group)
+        group = GROUPS.get(name, group)
         unit = re.search(r" \[(.*?)\]", text)
         text = text.replace(unit[0], "") if unit else text
         values = _values_of(scenario_class.__pydantic_fields__[name])
@@ -61,7 +61,7 @@ def fields_of(scenario_class):
 
 
 def _texts_of(scenario_class):
-    """{name: text} of the string below each field, which Python itself does not keep."""
+    """{name: text} of the string below each parameter, which Python itself does not keep."""
     (definition,) = ast.parse(inspect.getsource(scenario_class)).body
     return {
         field.target.id: " ".join(below.value.value.split())
@@ -104,7 +104,7 @@ def _flat(metadata):
 
 
 def _described(name, field):
-    """A field's entry in the docstring: unit and range follow the first sentence of its text."""
+    """An entry of the docstring: unit and range follow the first sentence of the text."""
     # "eq. (22)" does not end a sentence.
     first, *rest = re.split(r"(?<!eq)\. ", field.text, maxsplit=1)
     unit = f" [{field.unit}]" if field.unit else ""
@@ -118,22 +118,10 @@ def _described(name, field):
     return textwrap.fill(" ".join(sentences), 92, break_on_hyphens=False, **indents)
 
 
-def description(scenario_class):
-    """The table of `Scenario.describe`."""
-    import pandas as pd  # imported here, because it takes as long as the rest of the package
-
-    rows = [
-        (name, getattr(scenario_class, name), field.unit, field.group, field.text)
-        for name, field in fields_of(scenario_class).items()
-    ]
-    columns = ["name", "default", "unit", "group", "what it does"]
-    return pd.DataFrame(rows, columns=columns).set_index("name")
-
-
 def docstring(scenario_class):
-    """Scenario's docstring: one entry for each field, by groups."""
-    *others, last = _GROUPS.values()
-    entries = {group: [] for group in _GROUPS.values()}
+    """Scenario's docstring: one entry for each parameter, by groups."""
+    *others, last = GROUPS.values()
+    entries = {group: [] for group in GROUPS.values()}
     for name, field in fields_of(scenario_class).items():
         entries[field.group].append(_described(name, field))
     return f"""One closed-loop run. SI units; angles in radians.

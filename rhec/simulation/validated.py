@@ -1,4 +1,4 @@
-"""Records whose fields are checked as `rhec.core._casadi.validation` checks arguments."""
+"""Records whose parameters are checked as `rhec.core._casadi.validation` checks arguments."""
 
 from typing import TypeVar, dataclass_transform, get_type_hints
 
@@ -12,7 +12,7 @@ _T = TypeVar("_T")
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def validated(cls: type[_T]) -> type[_T]:
-    """Make a frozen dataclass whose constructor checks every field strictly (a decorator)."""
+    """Make a frozen dataclass whose constructor checks every parameter strictly (a decorator)."""
     cls = dataclass(
         frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
     )(cls)

@@ -35,7 +35,7 @@ class TractionInput(Enum):
 
 
 class Choice(NamedTuple):
-    """The fields of a Scenario that decide the shape of its estimator's Functions."""
+    """The parameters of a Scenario that decide the shape of its estimator's Functions."""
 
     estimator: Any  # one of `estimators.NAMES`, or an own_estimator.Estimator
     estimation_horizon: int

@@ -103,7 +103,7 @@ class RHE(rhe.RHE):
         if sigma_w is not None and len(sigma_w) != n_w:
             expected = f"with speed_model {speed_model!r} it should have {n_w} entries"
             raise ValueError(f"sigma_w was {sigma_w!r}; {expected}")
-        # By the names of a Scenario's fields.
+        # By the names of a Scenario's parameters.
         given = SimpleNamespace(
             estimator="rhe",
             estimation_horizon=horizon,

@@ -29,7 +29,7 @@ _SHORTEST_RUT_M = 1e-9  # instead of 0, by which no distance can be divided
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 MEMORY |= dict(rut=(1, 1), running=(1, 1))
 NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS), speed=(1, 1))
-# Settings of the sensors, of the robot's body and of the ground, by the names of Scenario's fields.
+# Settings of the sensors, the robot's body and the ground, by the names of Scenario's parameters.
 SENSORS = dict.fromkeys(
     ("gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
 )

@@ -10,7 +10,7 @@ from rhec.core._casadi.build import casadi_function
 from rhec.tracked_robot.plant import MEMORY, gauss_markov, standard_normal
 
 _ONE = (1, 1)
-# Settings, by the names of Scenario's fields.
+# Settings, by the names of Scenario's parameters.
 SETTINGS = (
     "gyro_sigma_radps",
     "gyro_bias_radps",

@@ -89,7 +89,7 @@ def settings_of(scenario, dt_s=paper.DT_S):
     """The settings of the RHE, eq. (9), (15): variances V, W and P_0, and the noise's constants c.
 
     Args:
-        scenario: A Scenario, or what has its fields about the RHE.
+        scenario: A Scenario, or what has its parameters of the RHE.
         dt_s: Length of a sample [s].
     """
     sensors = scenario.sensors

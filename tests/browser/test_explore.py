@@ -155,7 +155,7 @@ def test_the_setting_is_copied_by_a_click(explorer):
     assert (
         explorer.page.evaluate("navigator.clipboard.readText()")
         == explorer.line
-        == "rhec.Scenario(process_noise='likelihood', q=(1.0, 1.0, 0.0))"
+        == "rhec.Scenario(q=(1.0, 1.0, 0.0))"
     )
 
 

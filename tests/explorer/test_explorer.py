@@ -78,19 +78,20 @@ def test_untouched_controls_give_the_start_scenario(start):
     assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
 
 
-def test_every_field_with_a_control_is_a_field_of_scenario():
-    assert {key if isinstance(key, str) else key[0] for key in controls.CONTROLS} <= {
-        field.name for field in fields(rhec.Scenario)
-    }
+def test_the_tabs_are_the_groups_of_the_scenario():
+    group = rhec.Scenario.describe()["group"].str.removeprefix("the ").str.capitalize()
+    for title, tab in controls.GROUPS.items():
+        names = {one.key if isinstance(one.key, str) else one.key[0] for one in tab}
+        assert {*group[[*names]]} == {title}
+    assert [*controls.GROUPS] == [*dict.fromkeys(group)]
+    assert group["sensors"] == "Sensors"
 
 
 @pytest.mark.parametrize("start", STARTS)
 def test_the_line_of_python_gives_the_scenario(start):
-    assert eval(controls.line_of(start)) == start
+    assert eval(repr(start)) == start
     for field in fields(start):
-        assert (f"{field.name}=" in controls.line_of(start)) == (
-            getattr(start, field.name) != field.default
-        )
+        assert (f"{field.name}=" in repr(start)) == (getattr(start, field.name) != field.default)
 
 
 def test_own_process_noise_has_the_size_each_estimator_takes():

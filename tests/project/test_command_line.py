@@ -95,7 +95,7 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
     "words, sentence",
     [
         (["simulate", "--seed", "-1"], "seed was -1"),
-        (["simulate", "--world", "mars"], "world was 'mars'"),
+        (["simulate", "--world", "sft"], 'for --world. Choose from: "default", "firm", "soft"'),
         (["simulate", "--log", "log.txt"], "--log was 'log.txt'"),
         (["simulate", "--log", "no/such.csv"], "--log was 'no/such.csv'; there is no folder 'no'"),
         (["simulate", "--plot", "x.nothing"], "--plot was 'x.nothing'; it should end in .png or"),
@@ -207,11 +207,14 @@ def test_every_command_has_help(capsys):
         assert name == "lab" or f"For example: rhec {name} " in text
 
 
-def test_completion_knows_every_option(capsys, tmp_path, monkeypatch):
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch, shell):
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert main(["--install-completion", "--shell", "bash"]) == 0
-    (script,) = tmp_path.glob(".local/**/rhec")
-    assert all(option in script.read_text() for option in ("--kappa-mean", "--lever-arm-m"))
+    script = tmp_path / "script"
+    assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
+    words = "kappa-mean lever-arm-m process-noise soft_soil drift_oracle prepared_anew".split()
+    assert all(word in script.read_text() for word in words)
+    assert re.search("wet.* patches", script.read_text())
 
 
 def test_a_reader_that_stops_reading_gets_no_traceback(tmp_path):

@@ -1,12 +1,13 @@
-"""Names of log columns: each is documented, once, where all of them are."""
+"""Names of log columns and metrics: docs/log_columns.md documents each."""
 
 import re
-import runpy
 from pathlib import Path
 
 import rhec
-from rhec.simulation import columns, log_page
+from rhec.simulation import columns
+from rhec.simulation.metrics import METRICS
 
+PAGE = (Path(__file__).parents[2] / "docs/log_columns.md").read_text(encoding="utf-8")
 LISTS = [name for name in vars(columns) if name.isupper() and name != "LOG"]
 
 
@@ -17,24 +18,30 @@ def _columns_of(group):
     return {*(group.values() if isinstance(group, dict) else group)}
 
 
-def _documented(name):
-    return re.search(rf"(?<!\w){name}(?!\w)", log_page.__doc__)
+def documented(title):
+    """{name: (unit, meaning)} of the table below the heading that begins with a title."""
+    (section,) = re.findall(rf"^## {title}.*?(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    rows = re.findall(r"^\| (`.*?`) \| (.*?) ?\| (.*) \|$", section, re.MULTILINE)
+    return {
+        name: (unit, text) for names, unit, text in rows for name in re.findall("`(.*?)`", names)
+    }
 
 
 def test_each_column_is_documented(run):
-    names = set(run.log.columns).union(*(_columns_of(getattr(columns, name)) for name in LISTS))
-    names |= {*columns.RECORDED.values(), *columns.RECORDED_TRUTH.values()}
-    names |= set(rhec.replay(run.log[:50], first_yaw_rad=0.0).columns)
-    assert not [name for name in names if not _documented(name)]
-    assert not names - log_page.COLUMNS_BY_NAME.keys()
+    of_run, of_recording, of_replay = map(documented, ("A run", "A recording", "A replay"))
+    replayed = {*rhec.replay(run.log[:50], first_yaw_rad=0.0).columns}
+    assert replayed <= of_run.keys() | of_replay.keys()
+    assert {*columns.RECORDED.values(), *columns.RECORDED_TRUTH.values()} <= of_recording.keys()
+    names = set().union(*(_columns_of(getattr(columns, name)) for name in LISTS))
+    assert names <= of_run.keys() | of_recording.keys() | of_replay.keys()
 
 
-def test_a_run_has_the_columns_that_the_table_says(run):
-    described = [n for n, column in log_page.COLUMNS_BY_NAME.items() if "run" in column.tables]
+def test_a_run_has_the_columns_that_the_page_says(run):
+    described = documented("A run").keys()
     sensors = {*columns.SENSORS.values()}
-    assert {*run.log.columns} | sensors == {*described} and not sensors & {*run.log.columns}
+    assert {*run.log.columns} | sensors == described and not sensors & {*run.log.columns}
     both = rhec.simulate(rhec.Scenario(sensors=(*columns.SENSORS,), duration_s=1.0))
-    assert {*both.log.columns} == {*described}
+    assert {*both.log.columns} == described
 
 
 def test_a_run_has_its_columns_in_this_order(run):
@@ -42,15 +49,6 @@ def test_a_run_has_its_columns_in_this_order(run):
     assert made == columns.COLUMNS == [name for group in columns.LOG.values() for name in group]
 
 
-def test_every_metric_is_documented(run):
-    assert list(run.metrics) == list(log_page.METRICS)
-
-
-def test_the_page_of_columns_is_the_one_that_the_tables_make(capsys):
-    page = Path(__file__).parents[2] / "docs" / "log_columns.md"
-    runpy.run_path(log_page.__file__, run_name="log_page")
-    assert capsys.readouterr().out == ""
-    runpy.run_path(log_page.__file__, run_name="__main__")
-    assert page.read_text(encoding="utf-8") == capsys.readouterr().out, (
-        "python -m rhec.simulation.log_page > docs/log_columns.md makes it anew"
-    )
+def test_every_metric_is_documented_in_the_words_of_a_notebook(run):
+    assert list(run.metrics) == list(METRICS)
+    assert documented("Metrics") == METRICS

@@ -44,7 +44,7 @@ def sentence_of(name, fields, error):
         close = get_close_matches(place[0], fields, 1, 0.4)
         suggestion = f"; did you mean {close[0]!r}?" if close else ""
         return f"{name} has no parameter {place[0]!r}{suggestion}"
-    if not place:  # a check across fields, which has a sentence of its own
+    if not place:  # a check across parameters, which has a sentence of its own
         return str(first["ctx"]["error"])
     parameter = fields[place[0]] if isinstance(place[0], int) else str(place[0])
     inner = place[1:]

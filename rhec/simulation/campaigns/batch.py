@@ -79,7 +79,7 @@ def split_into_tasks(scenarios, samples):
     """Yield parts of {key: scenario} with about this number of samples.
 
     Runs that share work become neighbours: they are sorted by groups of seeds, which share fields
-    and noise, then by loop, then by all fields except the seed, and else keep their order.
+    and noise, then by loop, then by all parameters except the seed, and else keep their order.
     """
     ordered = _ordered(scenarios)
     # Task number of a run = number of samples of all runs before it // size of a task.

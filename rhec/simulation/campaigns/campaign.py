@@ -127,7 +127,7 @@ def _driven(scenarios, folder, workers):
 
 
 def _varied_and_constant(scenarios):
-    """Return ({field: values} of what varies or is an object, {field: value} of all others)."""
+    """Return ({parameter: values} of what varies or is an object, {parameter: value} of others)."""
     varied = {}
     constant = {}
     for field in fields(Scenario):

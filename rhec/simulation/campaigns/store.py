@@ -23,7 +23,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
 from rhec.tracked_robot import terrain
 
-# Types of nearly all fields of a scenario; their repr is exact to the last bit.
+# Types of nearly all parameters of a scenario; their repr is exact to the last bit.
 PLAIN = {bool, int, float, str, tuple, type(None)}
 
 
