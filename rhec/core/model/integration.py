@@ -6,6 +6,7 @@ Radau IIA rules have |R| < 1 wherever Re λ < 0, and R = 0 at infinity: they are
 (Hairer, Wanner, "Solving Ordinary Differential Equations II", 1996, Sec. IV.5).
 """
 
+import functools
 import math
 from typing import Any, Literal, NamedTuple
 
@@ -20,6 +21,8 @@ STAGES = {"radau3": 2, "radau5": 3}  # of the implicit rules; the order is twice
 NEWTON_STEPS = 4  # for the stages of a nonlinear model; a linear one needs a single step
 MAX_GROWTH = 1.1  # in an interval, of what the model itself does not let grow
 _MOST_STEPS = 1000  # that a refusal proposes
+_POWERS = (8, 16)  # of a matrix, whose traces tell its largest mode
+_HALVINGS = 6  # of an interval, for the exact flow
 
 
 class Step(NamedTuple):
@@ -155,11 +158,12 @@ def _solve_by_states(matrix, right, n_x):
     return ca.vertcat(*rest)[list(np.argsort(order)), :]
 
 
-def refuse_unstable_step(model, x, u, p, dt_s):
+def refuse_unstable_step(model, x, u, p, dt_s, sigma_p=None):
     """Refuse a Model whose rule lets grow what the model itself does not.
 
-    It is checked at this point, and at it with each parameter at either of its bounds: an estimate
-    would not find out by itself, since beside an interval that grows any other fits better.
+    It is checked at this point, and at it with each parameter at either of its bounds; where there
+    is none, two standard deviations `sigma_p` away, if these are given. An estimate would not find
+    out by itself, since beside an interval that grows any other fits better.
 
     The modes λ are the eigenvalues of ∂f/∂x at (x, u, p). A classical Runge-Kutta interval of k
     substeps multiplies them by R(λ dt_s/k)^k, the model by e^(λ dt_s). The implicit rules and
@@ -172,9 +176,14 @@ def refuse_unstable_step(model, x, u, p, dt_s):
         return
     points = {"the first guess": list(p)}
     for place, (name, bounds) in enumerate(model.parameters.items()):
-        for bound in bounds or ():
-            if abs(bound) <= MAX_PLAUSIBLE_STATE:
-                points[f"{name} = {bound:g}, its bound"] = [*p[:place], bound, *p[place + 1 :]]
+        for side, bound in zip((-1, 1), bounds or (-math.inf, math.inf)):
+            where = f"{name} = {bound:g}, its bound"
+            if abs(bound) > MAX_PLAUSIBLE_STATE:
+                if sigma_p is None:
+                    continue
+                bound = p[place] + side * 2 * sigma_p[place]
+                where = f"{name} = {bound:g}, its guess and two standard deviations"
+            points[where] = [*p[:place], bound, *p[place + 1 :]]
     for where, parameters in points.items():
         _refuse_growth(model, np.array(model.slopes(x, u, parameters)), dt_s, where)
 
@@ -195,6 +204,70 @@ def _refuse_growth(model, by_x, dt_s, where):
         f" the state by {growth:.3g} at {where}, where the model damps it: a Model with"
         f" {more}the implicit rule='radau3' would help"
     )
+
+
+def growth_function(model, dt_s):
+    """The Function (x, u, p) -> 1 where the rule lets grow what the model does not; or None.
+
+    It is the criterion of `refuse_unstable_step` without eigenvalues, for compiled code. For each
+    block A (n, n) of ∂f/∂x whose states depend on each other in a circle, M = R(A dt_s/k)^k is
+    what the rule makes of an error in an interval, and E ≈ e^(A dt_s) what the model does:
+
+        |tr M^j| > n (MAX_GROWTH max(1, g))^j,  g = max_i (|tr E^i| / n)^(1/i) of all blocks
+
+    for a j; then a mode is beyond. None is needed where nothing can be: for an implicit rule, a
+    discrete Model, without such a block, or with constant ones, which were checked at the guess.
+    """
+    if model.discrete or model.rule != "rk4":
+        return None
+    symbols = model.slopes.sx_in()
+    blocks = _blocks(ca.sparsify(model.slopes(*symbols)))
+    if all(block.is_constant() for block in blocks):
+        return None
+    allowed = 1
+    for block in blocks:
+        for power, mean in _mean_traces(_flow(block * dt_s)):
+            allowed = ca.fmax(allowed, mean ** (1 / power))
+    grows = 0
+    for block in blocks:
+        M = _grown(block * (dt_s / model.steps), model.steps)
+        for _, mean in _mean_traces(M / (MAX_GROWTH * allowed)):
+            grows = ca.logic_or(grows, mean > 1)
+    return ca.Function("grows", symbols, [grows], ["x", "u", "p"], ["grows"], {"cse": True})
+
+
+def _blocks(matrix):
+    """Diagonal blocks, with all the eigenvalues that are not 0 for any value of the entries."""
+    n_blocks, order, ends = matrix.sparsity().scc()
+    groups = (order[ends[k] : ends[k + 1]] for k in range(n_blocks))
+    blocks = (matrix[group, group] for group in groups)
+    return [block for block in blocks if block.nnz()]
+
+
+def _grown(z, steps):
+    """R(z)^steps of a matrix z (n, n): what the classical rule makes of an error."""
+    unit = ca.SX.eye(z.size1())
+    once = unit + z @ (unit + z / 2 @ (unit + z / 3 @ (unit + z / 4)))
+    return functools.reduce(ca.mtimes, [once] * steps)
+
+
+def _flow(z):
+    """About e^z of a matrix z (n, n), by a rule that damps whatever the model damps."""
+    unit = ca.SX.eye(z.size1())
+    flow = ca.solve(unit - z / 2**_HALVINGS, unit)
+    for _ in range(_HALVINGS):
+        flow = flow @ flow
+    return flow
+
+
+def _mean_traces(matrix):
+    """(j, |tr matrix^j| / n) for j in _POWERS: of two modes e^(±iφ), at most one is near 0."""
+    power = 1
+    while power < max(_POWERS):
+        matrix = matrix @ matrix
+        power *= 2
+        if power in _POWERS:
+            yield power, ca.fabs(ca.trace(matrix)) / matrix.size1()
 
 
 def _growth(modes, steps):
