@@ -731,8 +731,8 @@ class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     A sample far outside its prediction is not used, and `ok` is False then; where such samples
-    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`). `ok` is False,
-    too, and the window restarts, where the model's `steps` are too few for its slopes there.
+    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`). So it is,
+    and does, where the model's `steps` are too few for its slopes at the estimate.
 
     Args:
         model: The robot, a rhec.Model.

@@ -8,6 +8,7 @@ Radau IIA rules have |R| < 1 wherever Re λ < 0, and R = 0 at infinity: they are
 
 import functools
 import math
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -209,39 +210,60 @@ def _refuse_growth(model, by_x, dt_s, where):
 def growth_function(model, dt_s):
     """The Function (x, u, p) -> 1 where the rule lets grow what the model does not; or None.
 
-    It is the criterion of `refuse_unstable_step` without eigenvalues, for compiled code. For each
-    block A (n, n) of ∂f/∂x whose states depend on each other in a circle, M = R(A dt_s/k)^k is
-    what the rule makes of an error in an interval, and E ≈ e^(A dt_s) what the model does:
+    It is the criterion of `refuse_unstable_step` without eigenvalues, for compiled code, and also
+    that of the rule itself, whose stages may lie where ∂f/∂x is another. For each block A (n, n) of
+    ∂f/∂x whose states depend on each other in a circle, an error of them is multiplied
 
-        |tr M^j| > n (MAX_GROWTH max(1, g))^j,  g = max_i (|tr E^i| / n)^(1/i) of all blocks
+    - by M = R(A dt_s/k)^k, where the model allows E ≈ e^(A dt_s);
+    - by M = ∂F/∂x of the rule F, where the same rule with four times the substeps allows E.
 
-    for a j; then a mode is beyond. None is needed where nothing can be: for an implicit rule, a
-    discrete Model, without such a block, or with constant ones, which were checked at the guess.
+    A mode grows where for a j, with g = max_i (|tr E^i| / n)^(1/i) of all blocks,
+
+        |tr M^j| > n (MAX_GROWTH max(1, g))^j
+
+    None is needed where nothing can grow: for an implicit rule, a discrete Model, without such a
+    block, or with constant ones, which were checked when the estimator was made.
     """
     if model.discrete or model.rule != "rk4":
         return None
-    symbols = model.slopes.sx_in()
-    blocks = _blocks(ca.sparsify(model.slopes(*symbols)))
+    symbols = x, _, _ = model.slopes.sx_in()
+    by_x = ca.sparsify(model.slopes(*symbols))
+    groups = _circles(by_x)
+    blocks = [by_x[group, group] * dt_s for group in groups]
     if all(block.is_constant() for block in blocks):
         return None
-    allowed = 1
-    for block in blocks:
-        for power, mean in _mean_traces(_flow(block * dt_s)):
-            allowed = ca.fmax(allowed, mean ** (1 / power))
-    grows = 0
-    for block in blocks:
-        M = _grown(block * (dt_s / model.steps), model.steps)
-        for _, mean in _mean_traces(M / (MAX_GROWTH * allowed)):
-            grows = ca.logic_or(grows, mean > 1)
+
+    def steps_of(steps):
+        """Blocks of ∂F/∂x of the rule with so many substeps."""
+        rule = ca.jacobian(integrate(replace(model, steps=steps), *symbols, dt_s).x, x)
+        return [rule[group, group] for group in groups]
+
+    linear = [_grown(block / model.steps, model.steps) for block in blocks]
+    grows = _grows_more(linear, [_flow(block) for block in blocks])
+    if any(ca.depends_on(block, x) for block in blocks):  # otherwise the two are the same
+        more = _grows_more(steps_of(model.steps), steps_of(4 * model.steps))
+        grows = ca.logic_or(grows, more)
     return ca.Function("grows", symbols, [grows], ["x", "u", "p"], ["grows"], {"cse": True})
 
 
-def _blocks(matrix):
-    """Diagonal blocks, with all the eigenvalues that are not 0 for any value of the entries."""
-    n_blocks, order, ends = matrix.sparsity().scc()
-    groups = (order[ends[k] : ends[k + 1]] for k in range(n_blocks))
-    blocks = (matrix[group, group] for group in groups)
-    return [block for block in blocks if block.nnz()]
+def _circles(matrix):
+    """Groups of places whose diagonal blocks have all eigenvalues that need not be 0."""
+    n_groups, order, ends = matrix.sparsity().scc()
+    groups = (order[ends[k] : ends[k + 1]] for k in range(n_groups))
+    return [group for group in groups if matrix[group, group].nnz()]
+
+
+def _grows_more(blocks, allowed_blocks):
+    """Whether a mode of one of the blocks is above MAX_GROWTH, and as much above all allowed."""
+    allowed = 1
+    for block in allowed_blocks:
+        for power, mean in _mean_traces(block):
+            allowed = ca.fmax(allowed, mean ** (1 / power))
+    grows = 0
+    for block in blocks:
+        for _, mean in _mean_traces(block / (MAX_GROWTH * allowed)):
+            grows = ca.logic_or(grows, mean > 1)
+    return grows
 
 
 def _grown(z, steps):
