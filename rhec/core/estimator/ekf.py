@@ -72,7 +72,8 @@ class EKF:
         self.dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        u = np.zeros(len(model.inputs))
+        refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
         self.settings = noise_of(model, sigma_v, sigma_w)
         P = np.diag(np.square(sigma))

@@ -731,7 +731,8 @@ class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     A sample far outside its prediction is not used, and `ok` is False then; where such samples
-    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`).
+    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`). So it is,
+    and does, where the model's `steps` are too few for its slopes at the estimate.
 
     Args:
         model: The robot, a rhec.Model.
@@ -767,7 +768,8 @@ class RHE(RealTimeLoop):
     ):
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        refuse_unstable_step(model, guess[:n_x], np.zeros(len(model.inputs)), guess[n_x:], dt)
+        u = np.zeros(len(model.inputs))
+        refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
         gate = innovation_gate.InnovationGate()

@@ -6,7 +6,9 @@ Radau IIA rules have |R| < 1 wherever Re λ < 0, and R = 0 at infinity: they are
 (Hairer, Wanner, "Solving Ordinary Differential Equations II", 1996, Sec. IV.5).
 """
 
+import functools
 import math
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -20,6 +22,8 @@ STAGES = {"radau3": 2, "radau5": 3}  # of the implicit rules; the order is twice
 NEWTON_STEPS = 4  # for the stages of a nonlinear model; a linear one needs a single step
 MAX_GROWTH = 1.1  # in an interval, of what the model itself does not let grow
 _MOST_STEPS = 1000  # that a refusal proposes
+_POWERS = (8, 16)  # of a matrix, whose traces tell its largest mode
+_HALVINGS = 6  # of an interval, for the exact flow
 
 
 class Step(NamedTuple):
@@ -155,11 +159,12 @@ def _solve_by_states(matrix, right, n_x):
     return ca.vertcat(*rest)[list(np.argsort(order)), :]
 
 
-def refuse_unstable_step(model, x, u, p, dt_s):
+def refuse_unstable_step(model, x, u, p, dt_s, sigma_p=None):
     """Refuse a Model whose rule lets grow what the model itself does not.
 
-    It is checked at this point, and at it with each parameter at either of its bounds: an estimate
-    would not find out by itself, since beside an interval that grows any other fits better.
+    It is checked at this point, and at it with each parameter at either of its bounds; where there
+    is none, two standard deviations `sigma_p` away, if these are given. An estimate would not find
+    out by itself, since beside an interval that grows any other fits better.
 
     The modes λ are the eigenvalues of ∂f/∂x at (x, u, p). A classical Runge-Kutta interval of k
     substeps multiplies them by R(λ dt_s/k)^k, the model by e^(λ dt_s). The implicit rules and
@@ -172,9 +177,14 @@ def refuse_unstable_step(model, x, u, p, dt_s):
         return
     points = {"the first guess": list(p)}
     for place, (name, bounds) in enumerate(model.parameters.items()):
-        for bound in bounds or ():
-            if abs(bound) <= MAX_PLAUSIBLE_STATE:
-                points[f"{name} = {bound:g}, its bound"] = [*p[:place], bound, *p[place + 1 :]]
+        for side, bound in zip((-1, 1), bounds or (-math.inf, math.inf)):
+            where = f"{name} = {bound:g}, its bound"
+            if abs(bound) > MAX_PLAUSIBLE_STATE:
+                if sigma_p is None:
+                    continue
+                bound = p[place] + side * 2 * sigma_p[place]
+                where = f"{name} = {bound:g}, its guess and two standard deviations"
+            points[where] = [*p[:place], bound, *p[place + 1 :]]
     for where, parameters in points.items():
         _refuse_growth(model, np.array(model.slopes(x, u, parameters)), dt_s, where)
 
@@ -195,6 +205,91 @@ def _refuse_growth(model, by_x, dt_s, where):
         f" the state by {growth:.3g} at {where}, where the model damps it: a Model with"
         f" {more}the implicit rule='radau3' would help"
     )
+
+
+def growth_function(model, dt_s):
+    """The Function (x, u, p) -> 1 where the rule lets grow what the model does not; or None.
+
+    It is the criterion of `refuse_unstable_step` without eigenvalues, for compiled code, and also
+    that of the rule itself, whose stages may lie where ∂f/∂x is another. For each block A (n, n) of
+    ∂f/∂x whose states depend on each other in a circle, an error of them is multiplied
+
+    - by M = R(A dt_s/k)^k, where the model allows E ≈ e^(A dt_s);
+    - by M = ∂F/∂x of the rule F, where the same rule with four times the substeps allows E.
+
+    A mode grows where for a j, with g = max_i (|tr E^i| / n)^(1/i) of all blocks,
+
+        |tr M^j| > n (MAX_GROWTH max(1, g))^j
+
+    None is needed where nothing can grow: for an implicit rule, a discrete Model, without such a
+    block, or with constant ones, which were checked when the estimator was made.
+    """
+    if model.discrete or model.rule != "rk4":
+        return None
+    symbols = x, _, _ = model.slopes.sx_in()
+    by_x = ca.sparsify(model.slopes(*symbols))
+    groups = _circles(by_x)
+    blocks = [by_x[group, group] * dt_s for group in groups]
+    if all(block.is_constant() for block in blocks):
+        return None
+
+    def steps_of(steps):
+        """Blocks of ∂F/∂x of the rule with so many substeps."""
+        rule = ca.jacobian(integrate(replace(model, steps=steps), *symbols, dt_s).x, x)
+        return [rule[group, group] for group in groups]
+
+    linear = [_grown(block / model.steps, model.steps) for block in blocks]
+    grows = _grows_more(linear, [_flow(block) for block in blocks])
+    if any(ca.depends_on(block, x) for block in blocks):  # otherwise the two are the same
+        more = _grows_more(steps_of(model.steps), steps_of(4 * model.steps))
+        grows = ca.logic_or(grows, more)
+    return ca.Function("grows", symbols, [grows], ["x", "u", "p"], ["grows"], {"cse": True})
+
+
+def _circles(matrix):
+    """Groups of places whose diagonal blocks have all eigenvalues that need not be 0."""
+    n_groups, order, ends = matrix.sparsity().scc()
+    groups = (order[ends[k] : ends[k + 1]] for k in range(n_groups))
+    return [group for group in groups if matrix[group, group].nnz()]
+
+
+def _grows_more(blocks, allowed_blocks):
+    """Whether a mode of one of the blocks is above MAX_GROWTH, and as much above all allowed."""
+    allowed = 1
+    for block in allowed_blocks:
+        for power, mean in _mean_traces(block):
+            allowed = ca.fmax(allowed, mean ** (1 / power))
+    grows = 0
+    for block in blocks:
+        for _, mean in _mean_traces(block / (MAX_GROWTH * allowed)):
+            grows = ca.logic_or(grows, mean > 1)
+    return grows
+
+
+def _grown(z, steps):
+    """R(z)^steps of a matrix z (n, n): what the classical rule makes of an error."""
+    unit = ca.SX.eye(z.size1())
+    once = unit + z @ (unit + z / 2 @ (unit + z / 3 @ (unit + z / 4)))
+    return functools.reduce(ca.mtimes, [once] * steps)
+
+
+def _flow(z):
+    """About e^z of a matrix z (n, n), by a rule that damps whatever the model damps."""
+    unit = ca.SX.eye(z.size1())
+    flow = ca.solve(unit - z / 2**_HALVINGS, unit)
+    for _ in range(_HALVINGS):
+        flow = flow @ flow
+    return flow
+
+
+def _mean_traces(matrix):
+    """(j, |tr matrix^j| / n) for j in _POWERS: of two modes e^(±iφ), at most one is near 0."""
+    power = 1
+    while power < max(_POWERS):
+        matrix = matrix @ matrix
+        power *= 2
+        if power in _POWERS:
+            yield power, ca.fabs(ca.trace(matrix)) / matrix.size1()
 
 
 def _growth(modes, steps):
