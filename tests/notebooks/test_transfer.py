@@ -72,3 +72,28 @@ def test_each_robot_is_left_out_once():
     own = rows.query("log == 'one' and estimator == 'RHE' and tuned == 'itself'")["yaw_rms_rad"]
     cell = means.loc[("one", "RHE", "itself"), "yaw_rms_rad"]
     assert cell.n == 2 and cell.mean == pytest.approx(own.mean()) and cell.low < own.mean()
+
+
+def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
+    """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither."""
+    n = 8
+    error = [0.6, -0.6, 0.7, 0.1, 0.0, -0.1, 2 * np.pi, 0.3]
+    samples = pd.DataFrame(
+        dict(
+            segment=np.zeros(n, int),
+            nu_meas_mps=100.0,  # far enough from the first sample on
+            omega_meas_radps=0.0,
+            theta_rad=0.2,
+            theta_hat_rad=np.add(0.2, error),
+            sigma_theta_rad=[0.3, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.3],
+            ok=[True, False, True, True, True, True, True, True],
+            mu_hat=0.9,
+            kappa_hat=0.9,
+            innovation_x_m=0.0,
+            innovation_y_m=0.0,
+        )
+    )
+    values = scores.score(samples)
+    assert values["bad_unsure"] == pytest.approx(2 / 3)
+    assert values["good_unsure"] == pytest.approx(1 / 4)
+    assert np.isnan(scores.score(samples[3:])["bad_unsure"])

@@ -9,6 +9,7 @@ import pandas as pd
 from rhec import paper
 from rhec.logs.checks import refuse
 from rhec.logs.recording import delayed, prepare
+from rhec.logs.remarks import UNSURE_YAW_RAD
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
@@ -17,6 +18,8 @@ FROM_M = 8.0
 WINDOW_S = 5.0  # window of the sliding regressions
 REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
 _FAST_RADPS = 0.8  # yaw_rms_slow_rad leaves out faster spins
+_BAD_RAD = 0.5  # a larger error of the yaw is bad
+_GOOD_RAD = 0.2  # a smaller one is good
 _AHEAD_S = 2.0  # horizon of the predictions by the encoders
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _LEAST_RMS = 0.1  # smallest RMS [m/s, rad/s] of the measurements in a window with a regression
@@ -92,7 +95,9 @@ def score(samples):
 
         - yaw_rms_rad, and yaw_rms_slow_rad without fast spins;
         - nees_yaw: mean of the squared error over its variance, 1 if the estimator is consistent;
-        - inside_95: share of the errors within 1.96 standard deviations.
+        - inside_95: share of the errors within 1.96 standard deviations;
+        - bad_unsure, good_unsure: shares of the bad and of the good yaws that are unsure: the
+          standard deviation is above UNSURE_YAW_RAD, or the step failed. NaN without such yaws.
 
         With the true position, position_rms_m. With the true speeds, the regressions
         mu_regression and kappa_regression, and mu_difference and kappa_difference, the medians
@@ -114,11 +119,14 @@ def score(samples):
         error = yaw_error(counted)
         sigma = counted["sigma_theta_rad"]
         is_slow = counted["omega_meas_radps"].abs() <= _FAST_RADPS
+        is_unsure = (sigma > UNSURE_YAW_RAD) | ~counted["ok"]
         values |= dict(
             yaw_rms_rad=rms(error),
             yaw_rms_slow_rad=rms(error[is_slow]),
             nees_yaw=(error**2 / sigma**2).mean(),
             inside_95=(error.abs() <= 1.96 * sigma)[error.notna()].mean(),
+            bad_unsure=is_unsure[error.abs() > _BAD_RAD].mean(),
+            good_unsure=is_unsure[error.abs() < _GOOD_RAD].mean(),
         )
     if {"x_m", "y_m"} <= set(samples):
         values["position_rms_m"] = rms(*_position_error(counted))
