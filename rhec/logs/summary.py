@@ -86,9 +86,9 @@ class Summary:
         if self.samples is None:
             raise ValueError(f"the log has no estimates to draw. {self.verdict}")
         # Imported here, because most summaries are only printed.
-        from rhec.logs.picture import picture
+        from rhec.plot import log_overview
 
-        return picture(self)
+        return log_overview(self)
 
 
 def _text(table):
