@@ -14,6 +14,7 @@ whole log is asked for, the track width and the noise of the positions.
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -82,7 +83,7 @@ ESTIMATOR_FIELDS = (
     "sigma_gyro",
     "sigma_heading",
 )
-N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+_N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
 # Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
 # yaw and the position of the antenna.
 _SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
@@ -350,16 +351,18 @@ def _sigma_first(first):
     return sigma
 
 
-def _run(how, scenario, stream, yaw_rad, first):
+def _run(how, scenario, stream, first, yaw_rad, sigma_yaw_rad):
     """What the Replay records of one segment; NaN before the first position.
 
     Args:
         how: The Replay of the scenario.
         scenario: The Scenario of the estimator.
         stream: (n, 2 n_z), as of `recording.with_ages`.
-        yaw_rad: Guess of the initial yaw [rad].
         first: The InitialGuess.
+        yaw_rad: Guess of the initial yaw [rad].
+        sigma_yaw_rad: Its standard deviation [rad].
     """
+    first = first._replace(sigma_yaw_rad=sigma_yaw_rad)
     has_position = np.isfinite(stream[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(stream)
     x, y = stream[begin, :2] if has_position.any() else (0.0, 0.0)
@@ -369,31 +372,35 @@ def _run(how, scenario, stream, yaw_rad, first):
     return estimates
 
 
-def _innovations(how, estimates, stream):
+def innovations(how, estimates, stream):
     """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
     The prediction starts at the previous estimate and uses the encoder measurements until the time
     at which the position was measured.
     """
-    innovations = np.full((len(stream), 2), np.nan)
+    found = np.full((len(stream), 2), np.nan)
     if len(stream) > 1:
         z, ages_s = np.hsplit(stream[1:], 2)
         before = estimates[how.hats].to_numpy()[:-1]
         _, predicted = how.predict(before, z, how.dt_s - ages_s[:, 0])
-        innovations[1:] = z[:, :2] - predicted[:, :2]
-    return innovations
+        found[1:] = z[:, :2] - predicted[:, :2]
+    return found
 
 
-def _most_likely_heading(how, scenario, stream, first):
-    """`_run` with an unknown initial yaw: several directions are tried.
+def most_likely_heading(how, run_from, stream):
+    """What a Replay records of one segment with an unknown initial yaw: several are tried.
 
     A row is taken from the direction with the smallest sum of squared innovations until then, so
     that no row depends on later measurements.
+
+    Args:
+        how: The Replay.
+        run_from: Function (first yaw [rad], its standard deviation [rad]) -> what it records.
+        stream: (n, 2 n_z), as of `recording.with_ages`.
     """
-    unsure = first._replace(sigma_yaw_rad=np.pi / N_HEADINGS)
-    yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
-    runs = [_run(how, scenario, stream, yaw, unsure) for yaw in yaws]
-    squares = [np.square(_innovations(how, run, stream)) for run in runs]
+    yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
+    runs = [run_from(yaw_rad, np.pi / _N_HEADINGS) for yaw_rad in yaws]
+    squares = [np.square(innovations(how, run, stream)) for run in runs]
     best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
     chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
     return pd.DataFrame(chosen, columns=runs[0].columns)
@@ -489,11 +496,12 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
         stream = with_ages(used, how.measured)
         yaw_rad = _first_yaw(first, number, part)
+        run_from = partial(_run, how, scenario, stream, first)
         if yaw_rad is None:
-            estimates = _most_likely_heading(how, scenario, stream, first)
+            estimates = most_likely_heading(how, run_from, stream)
         else:
-            estimates = _run(how, scenario, stream, yaw_rad, first)
-        part[INNOVATION] = _innovations(how, estimates, stream)
+            estimates = run_from(yaw_rad, first.sigma_yaw_rad)
+        part[INNOVATION] = innovations(how, estimates, stream)
         part = pd.concat([part, estimates], axis=1)
         # A heading tells the yaw whatever the course is.
         by_course = 0.0 if "heading" in names else yaw_sigma_rad(part, noise_m)
@@ -710,8 +718,8 @@ def replay(
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
         `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
-        model, is a list of sentences: whether the yaw is known, and what the log does not
-        determine. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
+        model, is a list of sentences: where the yaw is not known, and how often a gyro is left
+        out. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
 
     Raises:
         ValueError: If the log lacks columns or usable times, if it fails the plausibility checks,
@@ -750,10 +758,9 @@ def replay(
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
     result = _at_rows(samples, recording, log, replay_of(scenario))
-    is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
-    result.attrs["remarks"] = remarks(samples, is_arm_estimated)
+    result.attrs["remarks"] = remarks(samples)
     if unknown := unknown_yaw(samples):
         warnings.warn(unknown, stacklevel=3)
     return result
