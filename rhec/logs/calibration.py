@@ -33,8 +33,9 @@ from rhec.logs.comparison import HIDDEN_S, hidden_errors
 from rhec.logs.filtering import Loss
 from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
+from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import DECLARED, delayed, prepare, resample, travelled, with_ages
+from rhec.logs.recording import delayed, prepare, resample, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
     estimate_samples,
@@ -315,8 +316,7 @@ def calibrate(
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
-    declared_m = _declared_m(recording)
-    least_m = declared_m / _CORRELATED  # widened, it is the declared one
+    least_m = declared_m(recording.rows) / _CORRELATED  # widened, it is the declared one
     robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, least_m)
     at_stamps = _usable(recording)
     recording = delayed(at_stamps, position_delay_s)
@@ -339,7 +339,7 @@ def calibrate(
     result.report = _report(x, deviation, arm, sigma_arm, robot.sensors)
     delay = _delay(at_stamps, position_delay_s, (x, yaws, robot))
     samples = _replayed(recording, result, yaws, smooth=True)
-    result.terms = _terms(result, recording, samples, last, delay, declared_m)
+    result.terms = _terms(result, recording, samples, last, delay)
     rate_hz = facts(recording)["encoders_hz"]
     result.yaml = terms.as_yaml(result.terms, robot.width_m, terms.noise(samples), rate_hz)
     result.remarks = _remarks(wanders, delay, position_delay_s)
@@ -379,17 +379,6 @@ def _refuse_without_model(arguments):
             f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
             "position_delay_s, trust_log"
         )
-
-
-def _declared_m(recording):
-    """Standard deviation of the positions that the receiver declares [m], or 0.
-
-    Errors that wander for minutes do not show in the positions themselves.
-    """
-    if DECLARED not in recording.rows:
-        return 0.0
-    declared_m = recording.rows[DECLARED].median()
-    return float(declared_m) if declared_m > 0 else 0.0
 
 
 def _widen(result, names):
@@ -481,11 +470,11 @@ def _replayed(recording, arguments, yaws, smooth=False):
     return estimate_samples(recording, scenario, first, smooth=smooth)
 
 
-def _terms(result, recording, samples, last, delay, declared_m):
+def _terms(result, recording, samples, last, delay):
     """The terms of a Calibration, from its smoothed samples."""
     # Errors that wander for minutes do not show in the positions, but the receiver declares them.
     noise = result.report.loc["noise of the position", ["value", "low", "high"]]
-    noise = noise.astype(float).clip(lower=declared_m)
+    noise = noise.astype(float).clip(lower=declared_m(recording.rows))
     others = {
         "antenna ahead": (*last["arm_forward_m"], "m"),
         "antenna left": (*last["arm_left_m"], "m"),

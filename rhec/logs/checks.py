@@ -14,7 +14,7 @@ import pandas as pd
 
 from rhec.logs.finding import Finding, Severity
 from rhec.logs.path_checks import check_clock_offset, check_path, check_standing
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.position_noise import declared_m, position_sigma_m
 from rhec.logs.recording import DECLARED, Recording, travelled
 from rhec.logs.sensor_checks import check_sensors
 from rhec.simulation.columns import MEASUREMENTS
@@ -267,15 +267,12 @@ def _check_noise(recording):
 
     Errors that wander for minutes do not show: it may well declare more than is seen.
     """
-    if DECLARED not in recording.rows:
-        return
     measured_m = position_sigma_m(recording.rows)
-    declared_m = recording.rows[DECLARED].median()
-    if declared_m > 0 and measured_m > _NOISE_RATIO * declared_m:
+    told_m = declared_m(recording.rows)
+    if 0 < _NOISE_RATIO * told_m < measured_m:
         yield _note(
             "declared_noise",
-            f"the positions' white noise is {measured_m:.2g} m and was declared as "
-            f"{declared_m:.2g} m",
+            f"the positions' white noise is {measured_m:.2g} m and was declared as {told_m:.2g} m",
             "Leave sigma_v out: rhec.replay asks the log.",
         )
 

@@ -34,10 +34,9 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.position_noise import declared_m, position_sigma_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import (
-    DECLARED,
     POSITION_AGE,
     delayed,
     measured_since,
@@ -834,7 +833,8 @@ def replay_scenario(estimator, recording, fields):
         present = recording.sensors if is_rhe else ()
         fields = dict(sensors=present) | fields
         if fields.get("sigma_v") is None:
-            fields["sigma_v"] = _sigma_v_of_log(recording)
+            sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
+            fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
     _refuse_missing_sensors(fields.get("sensors", ()), recording)
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if not _runs_without_truth(scenario.estimator):
@@ -844,18 +844,6 @@ def replay_scenario(estimator, recording, fields):
             "the others need the truth"
         )
     return scenario
-
-
-def _sigma_v_of_log(recording):
-    """Standard deviations of the measurements, with that of the positions asked of the log.
-
-    Errors that wander do not show in the positions themselves, but the receiver may tell them.
-    """
-    sigma_m = position_sigma_m(recording.rows)
-    if DECLARED in recording.rows:
-        declared_m = recording.rows[DECLARED].median()
-        sigma_m = max(sigma_m, declared_m) if declared_m > 0 else sigma_m
-    return (sigma_m, sigma_m, *paper.SIGMA_V[2:])
 
 
 def _refuse_missing_sensors(names, recording):
