@@ -35,7 +35,7 @@ from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import delayed, prepare, resample, travelled, with_ages
+from rhec.logs.recording import delayed, prepare, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
     estimate_samples,
@@ -412,13 +412,12 @@ def _refuse_straight(recording):
 def _usable(recording):
     """The Recording with only those segments that have enough positions and motion."""
 
-    def is_usable(rows):
-        part = resample(rows, paper.DT_S, recording.averaged)
+    def is_usable(part):
         positions = part[MEASUREMENTS[:2]].notna().all(axis=1).sum()
         driven_m = paper.DT_S * part[MEASUREMENTS[2]].abs().sum()
         return positions >= _LEAST_POSITIONS and driven_m > 2 * _SETTLED_M
 
-    usable = [number for number, rows in recording.rows.groupby("segment") if is_usable(rows)]
+    usable = [part["segment"].iloc[0] for part in recording.samples() if is_usable(part)]
     if not usable:
         raise ValueError(
             f"the log had no segment with {_LEAST_POSITIONS} positions over {2 * _SETTLED_M:g} m; "
@@ -430,11 +429,7 @@ def _usable(recording):
 
 def _streams(recording):
     """Measurements and their ages of each segment, as of `with_ages`."""
-    parts = [
-        resample(rows, paper.DT_S, recording.averaged)
-        for _, rows in recording.rows.groupby("segment")
-    ]
-    return [with_ages(part, measured_of(recording.sensors)) for part in parts]
+    return [with_ages(part, measured_of(recording.sensors)) for part in recording.samples()]
 
 
 def _delay(at_stamps, about_s, fitted):

@@ -15,13 +15,12 @@ import pandas as pd
 from rhec.logs.finding import Finding, Severity
 from rhec.logs.path_checks import check_clock_offset, check_path, check_standing
 from rhec.logs.position_noise import declared_m, position_sigma_m
-from rhec.logs.recording import DECLARED, Recording, travelled
+from rhec.logs.recording import DECLARED, Recording, moves, travelled
 from rhec.logs.sensor_checks import check_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
 _POSITION = [_X, _Y]
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _WINDOW_S = 5.0
 _LEAST_RATE_HZ = 0.9  # of positions
 _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
@@ -105,11 +104,6 @@ def _rate_hz(rows, column):
     """Median rate of a column's numbers."""
     periods = rows.loc[rows[column].notna()].groupby("segment")["t_s"].diff()
     return float(1 / periods.median()) if periods.notna().any() else np.nan
-
-
-def _moves(rows):
-    """Whether the robot moves according to its encoders, by row."""
-    return (rows[[_NU, _OMEGA]].abs() > _MOVING).any(axis=1).to_numpy()
 
 
 # Rows and clock
@@ -206,7 +200,7 @@ def _longest_gap(recording, column):
     Where no sensor was recorded at all, none of them dropped out.
     """
     longest = 0.0
-    moves = pd.Series(_moves(recording.rows), index=recording.rows.index)
+    is_moving = moves(recording.rows)
     for _, part in recording.rows.groupby("segment"):
         there = part[part[column].notna()]
         t = there["t_s"].to_numpy()
@@ -217,7 +211,7 @@ def _longest_gap(recording, column):
         usual = np.median(gaps)
         for k in np.flatnonzero(gaps > max(_LONGEST_GAP_S, 3 * usual)):
             inside = part[part["t_s"].between(t[k], t[k] + gaps[k], inclusive="neither")]
-            drives = moves[inside.index].mean() > 0.5
+            drives = is_moving[inside.index].mean() > 0.5
             if len(inside) and (drives or (column == _NU and way[k] > _MOVED_M)):
                 longest = max(longest, gaps[k])
     return longest
@@ -233,7 +227,7 @@ def _check_encoders(recording):
     dead = pd.Series(False, index=rows.index)
     one_side = {"left": dead.copy(), "right": dead.copy()}
     farthest_m = max(_MOVED_M, 6 * position_sigma_m(rows))
-    moves = pd.Series(_moves(rows), index=rows.index)
+    is_moving = moves(rows)
     for _, part in rows.groupby("segment"):
         nu = part[_NU]
         omega = part[_OMEGA]
@@ -242,7 +236,7 @@ def _check_encoders(recording):
         is_recorded = part["t_s"].diff(n) < 2 * _WINDOW_S  # not a pause of the recording
         dead[part.index] = is_zero & is_recorded & (way > farthest_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = (omega / nu).where(moves[part.index])
+            ratio = (omega / nu).where(is_moving[part.index])
         spread = ratio.rolling(n, min_periods=n).std() / ratio.rolling(n).mean().abs()
         changes = nu.rolling(n).std() > 1e-3
         for side, sign in (("left", 1), ("right", -1)):

@@ -1,12 +1,12 @@
 """What to say of a replay: where its yaw is not known, and how often its gyro is left out."""
 
 from rhec.logs.course import SIGMA_BY_COURSE
-from rhec.simulation.columns import GYRO_ACCEPTED, MEASUREMENTS, SENSORS, SIGMA
+from rhec.logs.recording import moves
+from rhec.simulation.columns import GYRO_ACCEPTED, SENSORS, SIGMA
 
-UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
+_UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
 _OFTEN = 0.1  # share of the samples
 _NOTABLE = 0.01  # the same, of a fault
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 
 
 def unknown_yaw(samples):
@@ -15,20 +15,20 @@ def unknown_yaw(samples):
     Args:
         samples: DataFrame of a replay's samples.
     """
-    moving = samples[samples[MEASUREMENTS[2]].abs() > _MOVING]
-    is_unsure = moving[SIGMA[2]] > UNSURE_YAW_RAD
+    moving = samples[moves(samples)]
+    is_unsure = moving[SIGMA[2]] > _UNSURE_YAW_RAD
     if not is_unsure.mean() > _OFTEN:
         return None
-    by_course = (moving[SIGMA_BY_COURSE] > UNSURE_YAW_RAD)[is_unsure].mean() > 0.5
+    by_course = (moving[SIGMA_BY_COURSE] > _UNSURE_YAW_RAD)[is_unsure].mean() > 0.5
     why = "positions and encoders say little of it"
     if by_course:
         why = (
             "the course turns where encoders and gyro do not, or is not along the yaw: the robot "
-            "slips sideways, positions wander, or a sensor is wrong (rhec.doctor)"
+            "slips sideways, positions wander, or a sensor is wrong"
         )
     told = "a heading" if by_course else "a gyro or a heading"
     return (
-        f"The yaw is not known to {UNSURE_YAW_RAD} rad in {is_unsure.mean():.1%} of the drive, "
+        f"The yaw is not known to {_UNSURE_YAW_RAD} rad in {is_unsure.mean():.1%} of the drive, "
         f"because {why}; {told} in the log would tell it."
     )
 
@@ -42,8 +42,7 @@ def remarks(samples):
     unknown = unknown_yaw(samples)
     sentences = [unknown] if unknown else []
     if GYRO_ACCEPTED in samples:
-        moves = (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
-        left_out = (samples[SENSORS["gyro"]].notna() & ~samples[GYRO_ACCEPTED])[moves]
+        left_out = (samples[SENSORS["gyro"]].notna() & ~samples[GYRO_ACCEPTED])[moves(samples)]
         if left_out.mean() > _NOTABLE:
             sentences.append(
                 f"The gyro is left out in {left_out.mean():.1%} of the samples in which the robot "

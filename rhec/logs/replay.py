@@ -483,8 +483,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     names = scenario.sensors
     noise_m = position_sigma_m(recording.rows)
     parts = []
-    for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
-        part = resample(rows, paper.DT_S, recording.averaged)
+    for number, part in enumerate(recording.samples()):
         if faults:
             _corrupt(part, faults, recording, names, seed)
         used = part
@@ -508,7 +507,6 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             part = _smooth(how, part, stream, first)
         part[SIGMA_BY_COURSE] = by_course
         part[SIGMA[2]] = np.hypot(part[SIGMA[2]], by_course)
-        part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})

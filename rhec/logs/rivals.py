@@ -19,7 +19,7 @@ import pandas as pd
 from rhec import paper
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model, MotionNoise
-from rhec.logs.recording import resample, with_ages
+from rhec.logs.recording import with_ages
 from rhec.logs.replay import Replay, build_model_replay, innovations, most_likely_heading
 from rhec.simulation.columns import ESTIMATE, INNOVATION, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.kinematics import SPEED_MODELS
@@ -108,12 +108,8 @@ RIVALS = {
 
 def parts_of(recording):
     """Samples of each segment of a Recording, with half the difference of the tracks' speeds."""
-    parts = []
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
-        part[_DELTA] = recording.track_width_m / 2 * part[MEASUREMENTS[3]]
-        parts.append(part)
-    return parts
+    half_m = recording.track_width_m / 2
+    return [part.assign(**{_DELTA: half_m * part[MEASUREMENTS[3]]}) for part in recording.samples()]
 
 
 def same_noise(rival, settings, parts, half_m):
