@@ -1,4 +1,4 @@
-"""What a calibration returns, and how certain it is: of the paper's robot and of any Model."""
+"""What a calibration returns, and how certain it is: as a dict of arguments with a report."""
 
 import numpy as np
 import pandas as pd

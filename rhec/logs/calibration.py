@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.model.base import Model
 from rhec.logs import filtering, minimum, terms
 from rhec.logs.calibrated import (
     Calibration,
@@ -30,19 +29,11 @@ from rhec.logs.calibrated import (
 )
 from rhec.logs.checks import facts, refuse
 from rhec.logs.comparison import HIDDEN_S, hidden_errors
-from rhec.logs.filtering import Loss
-from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare, travelled, with_ages
-from rhec.logs.replay import (
-    InitialGuess,
-    estimate_samples,
-    measured_of,
-    refuse_with_model,
-    replay_scenario,
-)
+from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
@@ -189,7 +180,7 @@ def _filtered(z, x, yaw_rad, robot):
     mean = np.array([guess.get(name, 0.0) for name in model.joint_names])
     sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
     settings = estimator_of("rhe").settings(scenario)
-    return filtering.run(model, paper.DT_S, Loss.HUBER, z, (mean, sigma), settings)
+    return filtering.run(model, paper.DT_S, z, (mean, sigma), settings)
 
 
 def _driven(z):
@@ -269,12 +260,9 @@ def _search(segments, robot):
 def calibrate(
     log: Any,
     *,
-    model: Model | None = None,
     track_width_m: Positive | None = None,
     position_delay_s: Real = 0.0,
-    delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
-    **arguments: Any,
 ) -> Calibration:
     """Estimate noise, side slip and lever arm of a recorded robot from its log, without truth.
 
@@ -286,19 +274,13 @@ def calibrate(
     Args:
         log: The path of a file, or DataFrame of a recording, as `rhec.replay` takes it. Its truth
             is not used.
-        model: A rhec.Model, whose noise is calibrated instead (`rhec.logs.model_calibration`).
         track_width_m: Distance of the tracks [m], as in `rhec.replay`.
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
-        delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks, as in `rhec.replay`.
-        **arguments: With a model, those of `rhec.replay`: dt, sigma_v, sigma_w, guess, sigma_guess,
-            horizon, arrival_mean. Each sigma_v and sigma_w is the middle of its prior, by a
-            factor of 3; where it is 0 it remains 0.
 
     Returns:
         Calibration, a dict of arguments of `rhec.replay` with a `report`. It has those of
-        the arguments above that differ from their defaults. With a model it has all of them, with
-        the calibrated sigma_v and sigma_w, and the report also lists the model's parameters.
+        the arguments above that differ from their defaults.
 
     Raises:
         ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions over a
@@ -308,10 +290,6 @@ def calibrate(
         UserWarning: If the positions are late.
     """
     log = read_if_path(log)
-    if model is not None:
-        of_robot = (track_width_m, position_delay_s or None, trust_log or None)
-        return _with_model(log, model, delays_s, arguments, of_robot)
-    _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
     recording = prepare(log, track_width_m)
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
@@ -362,23 +340,6 @@ def _remarks(wanders, delay, position_delay_s):
             f"calibrate and replay with position_delay_s={delay_s:.2f}."
         )
     return remarks
-
-
-def _with_model(log, model, delays_s, arguments, of_robot):
-    """The Calibration of a Model, which takes none of the three arguments of a robot."""
-    names = ("track_width_m", "position_delay_s", "trust_log")
-    refuse_with_model(**dict(zip(names, of_robot)))
-    return calibrate_model(log, model, delays_s, arguments)
-
-
-def _refuse_without_model(arguments):
-    """Raise a ValueError for arguments of a calibration with a model."""
-    if arguments:
-        name = next(iter(arguments))
-        raise ValueError(
-            f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
-            "position_delay_s, trust_log"
-        )
 
 
 def _widen(result, names):

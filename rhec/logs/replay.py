@@ -727,7 +727,7 @@ def replay(
     """
     log = read_if_path(log)
     if model is not None:
-        refuse_with_model(
+        _refuse_with_model(
             track_width_m=track_width_m,
             lever_arm_m=lever_arm_m,
             first_yaw_rad=first_yaw_rad,
@@ -763,7 +763,7 @@ def replay(
     return result
 
 
-def refuse_with_model(**arguments: Any) -> None:
+def _refuse_with_model(**arguments):
     """Raise a ValueError for the first argument that is not None."""
     for name, value in arguments.items():
         if value is not None:
