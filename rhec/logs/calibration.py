@@ -14,19 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import filtering, minimum, terms
-from rhec.logs.calibrated import (
-    Calibration,
-    is_determined,
-    minus_log_posterior,
-    most_likely,
-    posterior_covariance,
-    report,
-)
 from rhec.logs.checks import facts, refuse
 from rhec.logs.comparison import HIDDEN_S, hidden_errors
 from rhec.logs.path_checks import likeliest_delay
@@ -80,7 +72,45 @@ _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
 _LEAST_OUTAGES = 6
 _WORSE = 1.05
 _LEAST_ERROR_M = 0.01  # smaller errors are those of the positions themselves
+_HESSIAN_STEP = 0.1  # in prior standard deviations
+# A log determines a parameter if it reduces the standard deviation below this share of the prior's.
+_DETERMINED = 0.5
+_LARGEST = 4.0  # prior standard deviations within which is searched
+_UNUSABLE = 1e12  # the objective where a filter diverges
 _ONE_SIDED = 1.645  # 95 % quantile of the normal distribution
+
+
+class Calibration(dict):
+    """Arguments of `rhec.replay` that calibrate it for a log.
+
+    They are sigma_v, sigma_w, slip, and lever_arm_m if the log determines it.
+
+    Attributes:
+        report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
+            interval, unit, and `determined`, whether the log determines the parameter. Otherwise
+            the value is close to the prior.
+        terms: DataFrame, the same in the terms of ROS: multipliers of wheel separation and radius,
+            effective track width, bias and scale of the gyro, place of the antenna, delay and noise
+            of the positions, each with its 95 % interval (`rhec.logs.terms`).
+        yaml: These for diff_drive_controller and robot_localization.
+        remarks: Sentences, such as that the defaults of `rhec.replay` are kept.
+    """
+
+    report: pd.DataFrame
+    terms: pd.DataFrame
+    yaml: str
+    remarks: list[str]
+
+    def __str__(self) -> str:
+        undetermined = list(self.report.index[~self.report["determined"]])
+        summary = "The log determines all parameters."
+        if undetermined:
+            summary = f"The log does not determine: {', '.join(undetermined)}."
+        report, in_terms = (
+            table.to_string(float_format="{:.4g}".format) if len(table) else ""
+            for table in (self.report, self.terms)
+        )
+        return "\n".join([report, summary, "", in_terms, *self.remarks]).rstrip("\n")
 
 
 class _Unknown(NamedTuple):
@@ -212,17 +242,49 @@ def _losses(x, segments, yaws, robot):
 
 def _objective(segments, yaws, robot):
     """The function of x that is minimised: -log posterior, up to a constant."""
-    return lambda x: minus_log_posterior(_losses(x, segments, yaws, robot), x)
+
+    def objective(x):
+        losses = _losses(x, segments, yaws, robot)
+        value = sum(loss.sum() for loss in losses) / 2 + x @ x / 2
+        return float(value) if np.isfinite(value) else _UNUSABLE
+
+    return objective
+
+
+def _most_likely(objective, x):
+    """The x (n,) within ±_LARGEST where an objective is least, searched from x."""
+    bounds = [(-_LARGEST, _LARGEST)] * len(x)
+    return minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
+
+
+def _posterior_covariance(objective, x):
+    """H⁻¹ of the objective's Hessian H at its minimum x, by finite differences, at most the prior.
+
+    The Hessian of the prior is the identity, so eigenvalues of H below 1 are numerical errors.
+    """
+    n = len(x)
+    h = _HESSIAN_STEP
+    steps = h * np.eye(n)
+    center = objective(x)
+    ahead = np.array([objective(x + step) for step in steps])
+    behind = np.array([objective(x - step) for step in steps])
+    H = np.diag((ahead - 2 * center + behind) / h**2)
+    for i, j in zip(*np.triu_indices(n, 1)):
+        both = objective(x + steps[i] + steps[j])
+        H[i, j] = (both - ahead[i] - ahead[j] + center) / h**2
+        H[j, i] = H[i, j]
+    values, vectors = np.linalg.eigh(H)
+    return vectors / np.clip(values, 1.0, None) @ vectors.T
 
 
 def _fitted(segments, robot, yaws=None):
     """The x and the initial yaws that make these segments likeliest."""
     x = np.zeros(len(_unknowns(robot.sensors)))
     if yaws is not None:
-        return most_likely(_objective(segments, yaws, robot), x), yaws
+        return _most_likely(_objective(segments, yaws, robot), x), yaws
     for _ in range(2):  # the second search starts from better initial yaws
         yaws = [_first_yaw(z, x, robot) for z in segments]
-        x = most_likely(_objective(segments, yaws, robot), x)
+        x = _most_likely(_objective(segments, yaws, robot), x)
     return x, yaws
 
 
@@ -302,7 +364,7 @@ def calibrate(
     segments = _streams(recording)
     x, yaws, segments, wanders = _search(segments, robot)
     objective = _objective(segments, yaws, robot)
-    deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
+    deviation = np.sqrt(np.diag(_posterior_covariance(objective, x)))
     of_segments = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
     last = filtering.last_estimates(_model_of(robot.sensors), of_segments)
     arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
@@ -472,17 +534,21 @@ def _keep_better(result, recording, yaws):
 def _report(x, deviation, arm, sigma_arm, names):
     """The report of a Calibration."""
     unknowns = _unknowns(names)
-    numbers = report(
-        [unknown.name for unknown in unknowns],
-        [unknown.unit for unknown in unknowns],
-        *(_values(x + side * deviation, names) for side in (0, -1.96, 1.96)),
-        is_determined(deviation),
+    value, low, high = (_values(x + side * deviation, names) for side in (0, -1.96, 1.96))
+    numbers = pd.DataFrame(
+        dict(
+            value=value,
+            low=low,
+            high=high,
+            unit=[unknown.unit for unknown in unknowns],
+            determined=deviation < _DETERMINED,
+        ),
+        index=[unknown.name for unknown in unknowns],
     )
     position = unknowns[0]
     limits = ["value", "low", "high"]
     if numbers.loc[position.name, "value"] > position.least:
         numbers.loc[position.name, limits] /= _HUBER_SHRINKS
-    interval = (arm - 1.96 * sigma_arm, arm + 1.96 * sigma_arm)
-    is_known = sigma_arm < _DETERMINED_ARM_M
-    antenna = report(["antenna ahead", "antenna left"], "m", arm, *interval, is_known)
-    return pd.concat([numbers, antenna])
+    antenna = dict(value=arm, low=arm - 1.96 * sigma_arm, high=arm + 1.96 * sigma_arm, unit="m")
+    antenna["determined"] = sigma_arm < _DETERMINED_ARM_M
+    return pd.concat([numbers, pd.DataFrame(antenna, index=["antenna ahead", "antenna left"])])
