@@ -2,11 +2,12 @@
 
 from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.recording import moves
-from rhec.simulation.columns import GYRO_ACCEPTED, SENSORS, SIGMA
+from rhec.simulation.columns import GYRO_ACCEPTED, MEASUREMENTS, SENSORS, SIGMA
 
 _UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
 _OFTEN = 0.1  # share of the samples
 _NOTABLE = 0.01  # the same, of a fault
+_MOVING_MPS = 0.05
 
 
 def unknown_yaw(samples):
@@ -15,7 +16,7 @@ def unknown_yaw(samples):
     Args:
         samples: DataFrame of a replay's samples.
     """
-    moving = samples[moves(samples)]
+    moving = samples[samples[MEASUREMENTS[2]].abs() > _MOVING_MPS]
     is_unsure = moving[SIGMA[2]] > _UNSURE_YAW_RAD
     if not is_unsure.mean() > _OFTEN:
         return None
