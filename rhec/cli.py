@@ -353,11 +353,10 @@ def _log_of(file, given):
 
 def _read(file, given):
     """The log of the command line; what the reader found in it is printed."""
-    from rhec.logs.reader import found_lines
-
     log = _log_of(file, given)
     # Not to the standard output, which --json keeps for programs.
-    print(*found_lines(log), sep="\n", file=sys.stderr)
+    for name, value in log.attrs["inferred"].items():
+        print(f"found {name}: {value}", file=sys.stderr)
     return log
 
 
@@ -547,7 +546,7 @@ _COMMANDS = {
     campaign: list,
     log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
     doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
-    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
+    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT)],
     replay: _replay_options,
     export: _fields,
     lab: list,

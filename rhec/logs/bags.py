@@ -142,16 +142,6 @@ def _topic_for(types, topics, role):
     return suitable[0 if role == "positions" else -1]
 
 
-def _optional_topic(types, topics, role):
-    """The only topic of a role that a bag may lack, and a remark where none can be chosen."""
-    suitable = [name for name in topics or types if types[name] in _ROLES[role]]
-    if len(suitable) == 1:
-        return suitable[0], None
-    if suitable:
-        return None, f"none of {', '.join(suitable)}: topics should name one"
-    return None, None
-
-
 def _topic_of_transforms(types, frames):
     """The topic of transforms that change."""
     for name, kind in types.items():
@@ -202,10 +192,7 @@ def _choose(types, topics, frames, fields, wheel_radius_m):
         if role == "positions" and frames:
             chosen[role] = _topic_of_transforms(types, frames)
             continue
-        if role in _OPTIONAL:
-            topic, remark = _optional_topic(types, topics, role)
-            chosen |= {role: topic} if topic else {}
-            remarks |= {role: remark} if remark else {}
+        if role in _OPTIONAL and not any(types[name] in _ROLES[role] for name in topics or types):
             continue
         try:
             chosen[role] = _topic_for(types, topics, role)
@@ -213,7 +200,7 @@ def _choose(types, topics, frames, fields, wheel_radius_m):
                 _refuse_own_positions(chosen)
             _refuse_without_radius(types, chosen, wheel_radius_m)
         except ValueError as refused:
-            if not fields:
+            if not fields and role not in _OPTIONAL:
                 raise
             chosen.pop(role, None)
             remarks[role] = f"none: {refused}"

@@ -14,16 +14,13 @@ import pandas as pd
 
 from rhec.logs.finding import Finding, Severity
 from rhec.logs.path_checks import check_clock_offset, check_path, check_standing
-from rhec.logs.position_noise import position_sigma_m
-from rhec.logs.recording import DECLARED, Recording, travelled
+from rhec.logs.position_noise import declared_m, position_sigma_m
+from rhec.logs.recording import DECLARED, Recording, moves, travelled
 from rhec.logs.sensor_checks import check_sensors
-from rhec.simulation.columns import MEASUREMENTS, SENSORS
+from rhec.simulation.columns import MEASUREMENTS
 
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
 _POSITION = [_X, _Y]
-_GYRO = SENSORS["gyro"]
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
-_STILL = 0.02  # encoder speed of a standing robot [m/s, rad/s]
 _WINDOW_S = 5.0
 _LEAST_RATE_HZ = 0.9  # of positions
 _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
@@ -39,9 +36,6 @@ _JUMP_M = 0.5  # a step beyond what the speed allows
 _MOST_JUMPS = 2e-4  # share of positions
 _SILENT_S = 30.0
 _MOVED_M = 1.0  # while nothing was recorded
-_BIAS_RADPS = 0.01
-_BIAS_MPS = 0.03
-_MOST_BIAS = 0.1
 _LEAST_DRIVEN_M = 20.0
 _LEAST_TURNED_RAD = 3.0
 _OWN_INTEGRAL = 2e-3  # of the distance: no real robot's encoders are as good
@@ -68,21 +62,14 @@ def facts(recording: Recording) -> dict:
     )
 
 
-def findings(recording: Recording, declared_m: float | None = None) -> Iterator[Finding]:
-    """All Findings about a Recording.
-
-    Args:
-        recording: The Recording.
-        declared_m: Declared standard deviation of its positions [m]. By default the median of its
-            column position_sigma_m, if it has one.
-    """
+def findings(recording: Recording) -> Iterator[Finding]:
+    """All Findings about a Recording."""
     serious = [*_serious(recording)]
     yield from serious
     yield from chain.from_iterable(check(recording) for check in _OF_ROWS)
     if any(finding.severity is Severity.ERROR for finding in serious):
         return
     yield from chain.from_iterable(check(recording) for check in _OF_MOTION)
-    yield from _check_noise(recording, declared_m)
 
 
 def refuse(recording: Recording) -> None:
@@ -117,11 +104,6 @@ def _rate_hz(rows, column):
     """Median rate of a column's numbers."""
     periods = rows.loc[rows[column].notna()].groupby("segment")["t_s"].diff()
     return float(1 / periods.median()) if periods.notna().any() else np.nan
-
-
-def _moves(rows):
-    """Whether the robot moves according to its encoders, by row."""
-    return (rows[[_NU, _OMEGA]].abs() > _MOVING).any(axis=1).to_numpy()
 
 
 # Rows and clock
@@ -218,7 +200,7 @@ def _longest_gap(recording, column):
     Where no sensor was recorded at all, none of them dropped out.
     """
     longest = 0.0
-    moves = pd.Series(_moves(recording.rows), index=recording.rows.index)
+    is_moving = moves(recording.rows)
     for _, part in recording.rows.groupby("segment"):
         there = part[part[column].notna()]
         t = there["t_s"].to_numpy()
@@ -229,7 +211,7 @@ def _longest_gap(recording, column):
         usual = np.median(gaps)
         for k in np.flatnonzero(gaps > max(_LONGEST_GAP_S, 3 * usual)):
             inside = part[part["t_s"].between(t[k], t[k] + gaps[k], inclusive="neither")]
-            drives = moves[inside.index].mean() > 0.5
+            drives = is_moving[inside.index].mean() > 0.5
             if len(inside) and (drives or (column == _NU and way[k] > _MOVED_M)):
                 longest = max(longest, gaps[k])
     return longest
@@ -245,7 +227,7 @@ def _check_encoders(recording):
     dead = pd.Series(False, index=rows.index)
     one_side = {"left": dead.copy(), "right": dead.copy()}
     farthest_m = max(_MOVED_M, 6 * position_sigma_m(rows))
-    moves = pd.Series(_moves(rows), index=rows.index)
+    is_moving = moves(rows)
     for _, part in rows.groupby("segment"):
         nu = part[_NU]
         omega = part[_OMEGA]
@@ -254,7 +236,7 @@ def _check_encoders(recording):
         is_recorded = part["t_s"].diff(n) < 2 * _WINDOW_S  # not a pause of the recording
         dead[part.index] = is_zero & is_recorded & (way > farthest_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = (omega / nu).where(moves[part.index])
+            ratio = (omega / nu).where(is_moving[part.index])
         spread = ratio.rolling(n, min_periods=n).std() / ratio.rolling(n).mean().abs()
         changes = nu.rolling(n).std() > 1e-3
         for side, sign in (("left", 1), ("right", -1)):
@@ -274,28 +256,19 @@ def _check_encoders(recording):
             )
 
 
-def _check_noise(recording, declared_m):
-    rows = recording.rows
-    measured_m = position_sigma_m(rows)
-    if declared_m is None and DECLARED in rows:
-        declared_m = rows[DECLARED].median()
-    # Errors that wander for minutes do not show: a receiver may well declare more than is seen.
-    if declared_m and measured_m > _NOISE_RATIO * declared_m:
+def _check_noise(recording):
+    """Find positions that are worse than the receiver declares.
+
+    Errors that wander for minutes do not show: it may well declare more than is seen.
+    """
+    measured_m = position_sigma_m(recording.rows)
+    told_m = declared_m(recording.rows)
+    if 0 < _NOISE_RATIO * told_m < measured_m:
         yield _note(
             "declared_noise",
-            f"the positions' white noise is {measured_m:.2g} m and was declared as "
-            f"{declared_m:.2g} m",
+            f"the positions' white noise is {measured_m:.2g} m and was declared as {told_m:.2g} m",
             "Leave sigma_v out: rhec.replay asks the log.",
         )
-    values = rows[_POSITION].dropna().to_numpy()
-    for step in (1.0, 0.5, 0.25, 0.2, 0.1, 0.05):
-        if len(values) > 100 and np.abs(values / step - np.round(values / step)).max() < 1e-6:
-            yield _note(
-                "rounded_positions",
-                f"the positions are rounded to {step:g} m",
-                "Record more digits; as latitude and longitude, eight decimals.",
-            )
-            break
 
 
 def _check_interpolated(recording):
@@ -357,36 +330,6 @@ def _check_jumps(recording):
         )
 
 
-def _check_bias(recording):
-    rows = recording.rows
-    speeds = rows[[_NU, _OMEGA]].abs().max(axis=1)
-    still = speeds.rolling(20, center=True).max() < _STILL
-    if _GYRO in rows:
-        still_gyro = rows.loc[still, _GYRO].dropna()
-        bias = still_gyro.median()
-        if len(still_gyro) > 50 and abs(bias) > 2 * _BIAS_RADPS:
-            yield _note(
-                "gyro_bias",
-                f"the gyro shows {bias:.3g} rad/s while the robot stands",
-                "rhec.replay estimates a bias; a smaller one converges sooner.",
-            )
-    n = 50
-    way = np.hypot(*(rows[c].ffill().diff(n).shift(-n // 2).to_numpy() for c in _POSITION))
-    span_s = rows["t_s"].diff(n).shift(-n // 2)
-    stands = pd.Series(way < 3 * position_sigma_m(rows), index=rows.index)
-    constant = (rows[[_NU, _OMEGA]].rolling(n, center=True).std() < 1e-2).all(axis=1)
-    offsets = rows.loc[stands & constant & (span_s > 0), [_NU, _OMEGA]].median()
-    for column, least, unit in ((_NU, _BIAS_MPS, "m/s"), (_OMEGA, _BIAS_RADPS, "rad/s")):
-        # A larger yaw rate is that of a robot that turns on the spot.
-        if (stands & constant).sum() > n and least < abs(offsets[column]) < _MOST_BIAS:
-            yield _note(
-                "encoder_bias",
-                f"{recording.columns[column]} is {offsets[column]:.3g} {unit} while the "
-                "positions stand still",
-                "Subtract it where the log is read.",
-            )
-
-
 def _check_own_integral(recording):
     total = 0.0
     apart = 0.0
@@ -438,7 +381,7 @@ _OF_MOTION = (
     _check_encoders,
     _check_interpolated,
     _check_jumps,
-    _check_bias,
     _check_own_integral,
     _check_manoeuvres,
+    _check_noise,
 )

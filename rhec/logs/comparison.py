@@ -10,7 +10,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs import rivals
-from rhec.logs.recording import resample
+from rhec.logs.recording import moves
 from rhec.logs.replay import estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, INNOVATION, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.estimators import estimator_of
@@ -21,14 +21,8 @@ HIDDEN_S = 10.0
 _EVERY_S = 30.0
 _AFTER_S = (2.0, HIDDEN_S)  # times since the last position at which errors count
 _FROM_M = 8.0  # distance driven in a segment from which on the yaw has converged
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _ANGLE = 1.96  # standard deviations that hold 95 % of the errors of a yaw
 _BOTH = 2.236  # the same, of both coordinates of a position
-
-
-def moves(samples):
-    """Whether the robot moves at each sample, by its encoders, (n,)."""
-    return (samples[MEASUREMENTS[2:]].abs() > _MOVING).any(axis=1)
 
 
 def _settled(samples):
@@ -59,9 +53,7 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
     rows = recording.rows
     first_s = rows.groupby("segment")["t_s"].first()
     since_s = rows["t_s"] - rows["segment"].map(first_s)
-    shown = pd.concat(
-        resample(part, paper.DT_S, recording.averaged) for _, part in rows.groupby("segment")
-    ).reset_index(drop=True)
+    shown = pd.concat(recording.samples(), ignore_index=True)
     errors = []
     covered = []
     for begin_s in np.arange(0.0, _EVERY_S, HIDDEN_S):

@@ -1,10 +1,10 @@
 """What is wrong with a recorded log, all at once, and what to do about it.
 
 `rhec.replay` refuses a log for its first error. The doctor goes on and lists all that it finds:
-rates, dropouts, clock, units, signs and scale of the encoders, bias, noise as declared and as
+rates, dropouts, clock, units, signs and scale of the encoders, noise as declared and as
 measured, and what the robot would have to drive for the rest to be known.
 
-    rhec doctor FILE [--sigma-m 0.02] [--json]
+    rhec doctor FILE [--json]
 
 ends with exit code 0 if there are no findings, 1 if there are, 2 if the file cannot be read.
 """
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
-from rhec.logs.finding import Severity, refused
+from rhec.logs.finding import refused
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare
 
@@ -35,14 +35,9 @@ class Diagnosis(NamedTuple):
         """Whether there are no findings."""
         return not self.findings
 
-    @property
-    def is_refused(self) -> bool:
-        """Whether `rhec.replay` refuses the log."""
-        return any(finding.severity is Severity.ERROR for finding in self.findings)
-
     def to_json(self) -> str:
         """The diagnosis as JSON."""
-        findings = [finding.as_dict() for finding in self.findings]
+        findings = [each._asdict() | dict(sentence=each.sentence) for each in self.findings]
         return json.dumps(dict(ok=self.ok, findings=findings, facts=self.facts), indent=2)
 
     def __str__(self) -> str:
@@ -53,19 +48,13 @@ class Diagnosis(NamedTuple):
 
 @checked
 def doctor(
-    log: Any,
-    *,
-    sigma_m: Positive | None = None,
-    track_width_m: Positive | None = None,
-    position_delay_s: Real = 0.0,
+    log: Any, *, track_width_m: Positive | None = None, position_delay_s: Real = 0.0
 ) -> Diagnosis:
     """Find what is wrong with a recorded log.
 
     Args:
         log: DataFrame, as `rhec.replay` takes it; or the path of a file, as `rhec.logs.read` takes
             it.
-        sigma_m: Declared standard deviation of the positions [m], to be compared with the log. By
-            default the median of the log's column position_sigma_m, if it has one.
         track_width_m: As in `rhec.replay` [m].
         position_delay_s: Delay of the time stamps of the positions [s], as in `rhec.replay`.
 
@@ -80,4 +69,4 @@ def doctor(
         recording = delayed(prepare(log, track_width_m), position_delay_s)
     except ValueError as error:
         return Diagnosis((refused(str(error), "unusable"),), {})
-    return Diagnosis(tuple(checks.findings(recording, sigma_m)), checks.facts(recording))
+    return Diagnosis(tuple(checks.findings(recording)), checks.facts(recording))

@@ -25,12 +25,6 @@ class Finding(NamedTuple):
         """The fact as a sentence."""
         return f"{self.fact[0].upper()}{self.fact[1:]}."
 
-    def as_dict(self) -> dict:
-        """Severity, code, sentence and remedy, by name."""
-        return dict(
-            severity=str(self.severity), code=self.code, sentence=self.sentence, remedy=self.remedy
-        )
-
 
 def refused(fact: str, code: str = "implausible") -> Finding:
     """The Finding of a log that cannot be used, or of a column that is not what its name says."""

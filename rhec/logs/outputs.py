@@ -10,25 +10,16 @@ from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
 from rhec.style import replacing
 
 # What write_estimates may write.
-FILES = (
-    "estimates.csv",
-    "estimates.parquet",
-    "estimated.tum",
-    "measured.tum",
-    "traction.csv",
-    "traction.parquet",
-    "traction.geojson",
-)
+FILES = ("estimates.csv", "estimates.parquet", "estimated.tum", "measured.tum", "traction.geojson")
 # What write_summary writes besides.
 FILES_OF_SUMMARY = ("summary.txt", "comparison.csv", "robot.yaml", "log.png")
 _TRACTION = ["t_s", *ESTIMATE[:2], *ESTIMATE[4:], *SIGMA[:2], *SIGMA[4:6]]
 
 
 def write_estimates(estimates, folder):
-    """Write estimates.csv, estimates.parquet, estimated.tum, measured.tum, and traction labels.
+    """Write estimates.csv, estimates.parquet, estimated.tum, measured.tum, and traction.geojson.
 
-    The labels are in traction.csv and traction.parquet, and in traction.geojson if the log had
-    latitude and longitude.
+    The last one only if the log had latitude and longitude.
 
     Args:
         estimates: DataFrame, as `rhec.replay` returns it.
@@ -43,9 +34,8 @@ def write_estimates(estimates, folder):
     _write_path(folder / "estimated.tum", estimates, x, y, estimates[yaw])
     x, y = MEASUREMENTS[:2]
     _write_path(folder / "measured.tum", estimates, x, y, 0.0)  # no sensor measures a direction
-    suffixes = (".csv", ".parquet", ".geojson")[: 3 if "origin" in estimates.attrs else 2]
-    for suffix in suffixes:
-        write_traction(estimates, folder / f"traction{suffix}")
+    if "origin" in estimates.attrs:
+        write_traction(estimates, folder / "traction.geojson")
 
 
 def write_summary(summary, folder):
@@ -67,50 +57,36 @@ def write_summary(summary, folder):
 
 
 def write_traction(estimates, file):
-    """Write the traction at each place, as labels for a map or for a learning method.
+    """Write the traction at each place as GeoJSON (RFC 7946), for a map.
 
-    The columns are t_s, x_hat_m, y_hat_m, mu_hat, kappa_hat, sigma_x_m, sigma_y_m, sigma_mu and
-    sigma_kappa, in rows with numbers for t_s, place, mu_hat and kappa_hat.
+    It has a Point (longitude, latitude) [deg] for each row with numbers for t_s, place, mu_hat and
+    kappa_hat. Its properties are t_s, mu_hat, kappa_hat, sigma_x_m, sigma_y_m, sigma_mu and
+    sigma_kappa; what is not finite becomes null.
 
     Args:
         estimates: DataFrame, as `rhec.replay` returns it.
-        file: Path that ends in .csv, .parquet or .geojson. GeoJSON (RFC 7946) has a Point
-            (longitude, latitude) [deg] for each row, with the other columns as properties.
+        file: Path of the file.
 
     Raises:
-        ValueError: For another ending, or for GeoJSON of a log without latitude and longitude.
+        ValueError: For estimates of a log without latitude and longitude.
     """
-    file = Path(file)
-    labels = estimates[_TRACTION].dropna(subset=_TRACTION[:5])
-    labels.attrs = {}  # the remarks and faults are those of the replay
-    if file.suffix not in (".csv", ".parquet", ".geojson"):
-        raise ValueError(f"file was {str(file)!r}; it should end in .csv, .parquet or .geojson")
-    with replacing(file) as unfinished:
-        if file.suffix == ".csv":
-            labels.to_csv(unfinished, index=False)
-        elif file.suffix == ".parquet":
-            labels.to_parquet(unfinished, index=False)
-        else:
-            text = _geojson(labels, estimates.attrs.get("origin"))
-            unfinished.write_text(text, encoding="utf-8")
-
-
-def _geojson(labels, origin):
-    """Labels as the text of a FeatureCollection; what is not finite becomes null."""
-    if origin is None:
+    if "origin" not in estimates.attrs:
         raise ValueError(
-            "estimates had no origin, which .geojson needs; the log should have latitude and "
-            "longitude and be read by rhec.logs.read, or file should end in .csv or .parquet"
+            "estimates had no origin; the log should have latitude and longitude and be read by "
+            "rhec.logs.read"
         )
+    labels = estimates[_TRACTION].dropna(subset=_TRACTION[:5])
     x, y = labels[_TRACTION[1:3]].to_numpy().T
-    places = np.column_stack(degrees_at(x, y, origin)).tolist()
+    places = np.column_stack(degrees_at(x, y, estimates.attrs["origin"])).tolist()
     properties = labels.drop(columns=_TRACTION[1:3]).astype(object)
     properties = properties.where(np.isfinite(properties.astype(float)), None)
     features = [
         dict(type="Feature", geometry=dict(type="Point", coordinates=place), properties=row)
         for place, row in zip(places, properties.to_dict("records"))
     ]
-    return json.dumps(dict(type="FeatureCollection", features=features), allow_nan=False)
+    text = json.dumps(dict(type="FeatureCollection", features=features), allow_nan=False)
+    with replacing(Path(file)) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def _write_path(file, estimates, x, y, yaw_rad):

@@ -62,9 +62,6 @@ class _Slope(NamedTuple):
     share: float
 
 
-_CLOCKWISE = "may be counted clockwise and should be counter-clockwise"
-_YAW_RATE_CLOCKWISE = f"{{yaw_rate}} {_CLOCKWISE}"
-_SWAPPED = "{place} may be swapped"
 _MU = _Check(
     "the path of {place} is {times:.3g} times as long as {speed} says",
     0.3,
@@ -83,19 +80,11 @@ _KAPPA = _Check(
     "the path of {place} turns {times:.3g} times as far as {yaw_rate} says",
     0.1,
     {
-        0.0: f"{_YAW_RATE_CLOCKWISE}, or {_SWAPPED}",
+        0.0: "{yaw_rate} may be counted clockwise and should be counter-clockwise, or {place} may "
+        "be swapped",
         0.12: "{yaw_rate} may be in degrees per second and should be in rad/s",
         1.7: None,
         np.inf: "{yaw_rate} may be in another unit and should be in rad/s",
-    },
-)
-_TRUE_YAW = _Check(
-    "{yaw} turns {times:.3g} times as far as {yaw_rate} says",
-    0.1,
-    {
-        0.0: f"{{yaw}} {_CLOCKWISE}",
-        10.0: None,
-        np.inf: "{yaw} may be in degrees and should be in rad",
     },
 )
 
@@ -262,15 +251,6 @@ def _cause(slope, check):
     return next(check.causes[limit] for limit in check.causes if slope.value <= limit)
 
 
-def _slope_of_true_yaw(rows):
-    """The _Slope of the turns of the true yaw between rows over the turns by the encoders."""
-    step = rows.groupby("segment")[["t_s", "theta_rad"]].diff()
-    step = step.assign(w=rows[_ENCODERS[1]] * step["t_s"]).dropna()
-    is_usual = step["t_s"] < 2 * step["t_s"].median()
-    step = step[is_usual & (step["theta_rad"].abs() < 3)]  # without gaps and jumps of 2π
-    return _slope(step[["w"]].to_numpy(), step["theta_rad"].to_numpy())
-
-
 def _names(recording):
     """What the messages call the columns of a Recording."""
     columns = recording.columns
@@ -278,7 +258,6 @@ def _names(recording):
         speed=columns[_ENCODERS[0]],
         yaw_rate=columns[_ENCODERS[1]],
         speeds=", ".join(dict.fromkeys(columns[name] for name in _ENCODERS)),
-        yaw=columns.get("theta_rad"),
         place=", ".join(columns[name] for name in _POSITION),
     )
 
@@ -311,12 +290,8 @@ def check_path(recording):
             return
         is_late = _is_late(motion)
         mu, kappa = motion.late if is_late else motion.in_time
-        truth = _slope_of_true_yaw(rows) if "theta_rad" in rows else None
-    for slope, check in ((mu, _MU), (kappa, _KAPPA), (truth, _TRUE_YAW)):
-        cause = _cause(slope, check) if slope else None
-        if cause and check is _KAPPA and kappa.value < 0 and truth:
-            # The true yaw distinguishes a yaw rate of the wrong sign from swapped axes.
-            cause = _SWAPPED if truth.value > 0 else _YAW_RATE_CLOCKWISE
+    for slope, check in ((mu, _MU), (kappa, _KAPPA)):
+        cause = _cause(slope, check)
         if cause:
             sentence = f"the log's {cause}: {check.measured}"
             yield refused(sentence.format(times=slope.value, **names))

@@ -8,7 +8,8 @@ Two estimates are made, each of which motion can only increase; the smaller one 
   successive positions, together with the place of the antenna. What is left is noise, and slip
   within seconds. It serves where positions are rare.
 
-Errors that wander over seconds are in neither. A receiver's own covariance tells them.
+Errors that wander over seconds are in neither. A receiver's own covariance tells them:
+`declared_m`.
 """
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.stats import chi2
 
 from rhec import paper
+from rhec.logs.recording import DECLARED
 from rhec.simulation.columns import MEASUREMENTS
 
 LEAST_M = paper.SIGMA_V[0]  # a smaller noise is not told apart from the errors of the model
@@ -43,6 +45,18 @@ def position_sigma_m(rows):
     estimates = [_by_third_differences(paths), *(_by_registration(paths, k) for k in _KAPPAS)]
     known = [estimate for estimate in estimates if np.isfinite(estimate)]
     return max(min(known, default=LEAST_M), LEAST_M)
+
+
+def declared_m(rows):
+    """Standard deviation of the positions by their receiver [m], 0 if it declares none.
+
+    Errors that wander for minutes show there, but not in the positions themselves.
+
+    Args:
+        rows: Rows of a Recording.
+    """
+    declared = rows[DECLARED].median() if DECLARED in rows else 0.0
+    return float(declared) if declared > 0 else 0.0
 
 
 def _path(rows):

@@ -34,6 +34,7 @@ _ALTITUDE = ("altitude", "alt")
 # The ellipsoid WGS 84
 _AXIS_M = 6378137.0
 _ECCENTRICITY_2 = 6.69437999014e-3
+_STEPS_ON_SPHERE = 8  # each leaves about a hundredth of the distance
 
 
 @checked
@@ -305,8 +306,7 @@ def _refuse_other_angles(angle, largest):
 def _in_metres(log, inferred):
     """The log with x_m east and y_m north of the first position, from latitude and longitude.
 
-    Geocentric coordinates are projected onto the plane tangent to the ellipsoid at the first
-    position. A log with x_m, or without latitude and longitude, is returned unchanged.
+    A log with x_m, or without latitude and longitude, is returned unchanged.
     """
     log.attrs.pop("origin", None)  # a .parquet file may bring one of its own
     if "x_m" in log:
@@ -327,24 +327,36 @@ def _in_metres(log, inferred):
     inferred["position"] = (
         f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"
     )
-    phi = np.deg2rad(latitude)
-    turned = np.deg2rad(longitude - longitude[first])
     height = np.zeros(len(log)) if altitude is None else np.nan_to_num(altitude)
+    at_first = (latitude[first], longitude[first], height[first])
+    east_m, north_m = _metres_at(latitude, longitude, height, at_first)
+    return log.assign(x_m=east_m, y_m=north_m)
+
+
+def _metres_at(latitude, longitude, height_m, origin):
+    """Places east and north of an origin, in the plane tangent to the ellipsoid there (n,) [m].
+
+    Args:
+        latitude, longitude: [deg], arrays (n,).
+        height_m: Altitudes [m], array (n,).
+        origin: Latitude, longitude [deg] and altitude [m].
+    """
+    phi = np.deg2rad(np.append(origin[0], latitude))
+    turned = np.deg2rad(longitude - origin[1])
+    height_m = np.append(origin[2], height_m)
     normal = _AXIS_M / np.sqrt(1 - _ECCENTRICITY_2 * np.sin(phi) ** 2)
-    from_axis = (normal + height) * np.cos(phi)
-    above_equator = (normal * (1 - _ECCENTRICITY_2) + height) * np.sin(phi)
-    # In the meridian of the first position, away from the earth's axis.
-    out = from_axis * np.cos(turned) - from_axis[first]
-    up = above_equator - above_equator[first]
-    north = up * np.cos(phi[first]) - out * np.sin(phi[first])
-    return log.assign(x_m=from_axis * np.sin(turned), y_m=north)
+    from_axis = (normal + height_m) * np.cos(phi)
+    above_equator = (normal * (1 - _ECCENTRICITY_2) + height_m) * np.sin(phi)
+    # In the meridian of the origin, away from the earth's axis.
+    out = from_axis[1:] * np.cos(turned) - from_axis[0]
+    up = above_equator[1:] - above_equator[0]
+    return from_axis[1:] * np.sin(turned), up * np.cos(phi[0]) - out * np.sin(phi[0])
 
 
 def degrees_at(x_m, y_m, origin):
-    """Longitudes and latitudes of places at the height of the origin: the inverse of `_in_metres`.
+    """Longitudes and latitudes of places at the height of the origin: the inverse of `_metres_at`.
 
-    With N = a / √(1 - e² sin² φ) at the origin and Bowring's formula for the way back,
-    tan φ = (Z + e² / (1 - e²) b sin³ β) / (p - e² a cos³ β), tan β = Z a / (p b).
+    What is left of the distance moves the place as on a sphere, again and again.
 
     Args:
         x_m, y_m: Places east and north of the origin [m], arrays (n,).
@@ -353,23 +365,10 @@ def degrees_at(x_m, y_m, origin):
     Returns:
         Longitudes and latitudes [deg], two arrays (n,).
     """
-    latitude, longitude, height = origin
-    phi = np.deg2rad(latitude)
-    normal = _AXIS_M / np.sqrt(1 - _ECCENTRICITY_2 * np.sin(phi) ** 2)
-    # In the meridian of the origin, away from the earth's axis.
-    out = (normal + height) * np.cos(phi) - y_m * np.sin(phi)
-    above_equator = (normal * (1 - _ECCENTRICITY_2) + height) * np.sin(phi) + y_m * np.cos(phi)
-    from_axis = np.hypot(out, x_m)
-    short_axis = _AXIS_M * np.sqrt(1 - _ECCENTRICITY_2)
-    beta = np.arctan2(above_equator * _AXIS_M, from_axis * short_axis)
-    share = _ECCENTRICITY_2 / (1 - _ECCENTRICITY_2)
-    phi = np.arctan2(
-        above_equator + share * short_axis * np.sin(beta) ** 3,
-        from_axis - _ECCENTRICITY_2 * _AXIS_M * np.cos(beta) ** 3,
-    )
-    return longitude + np.rad2deg(np.arctan2(x_m, out)), np.rad2deg(phi)
-
-
-def found_lines(log: pd.DataFrame) -> list[str]:
-    """What `read` inferred, such as topics, unit of time and origin, as lines of text."""
-    return [f"found {name}: {value}" for name, value in log.attrs.get("inferred", {}).items()]
+    latitude = np.full(len(x_m), origin[0])
+    longitude = np.full(len(x_m), origin[1])
+    for _ in range(_STEPS_ON_SPHERE):
+        east_m, north_m = _metres_at(latitude, longitude, np.full(len(x_m), origin[2]), origin)
+        latitude += np.rad2deg((y_m - north_m) / _AXIS_M)
+        longitude += np.rad2deg((x_m - east_m) / (_AXIS_M * np.cos(np.deg2rad(latitude))))
+    return longitude, latitude

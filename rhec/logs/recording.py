@@ -38,6 +38,7 @@ _MEASURED = (*MEASUREMENTS, *SENSORS.values())
 _MEANS = (*_ENCODERS, SENSORS["gyro"])
 _LIMITS_OF_SENSORS = dict(zip(SENSORS.values(), (100.0, 1e8)))
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
+_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
 MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
@@ -79,6 +80,15 @@ class Recording(NamedTuple):
     def sensors(self):
         """The sensors besides GNSS and encoders, names of `columns.SENSORS`."""
         return tuple(name for name, column in SENSORS.items() if column in self.rows)
+
+    def samples(self):
+        """Samples of the paper's robot, a DataFrame for each segment, as of `resample`."""
+        parts = []
+        for segment, rows in self.rows.groupby("segment"):
+            part = resample(rows, paper.DT_S, self.averaged)
+            part.insert(0, "segment", segment)
+            parts.append(part)
+        return parts
 
 
 def prepare(log, track_width_m=None):
@@ -138,6 +148,11 @@ def delayed(recording, position_delay_s):
     positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
     rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
     return recording._replace(rows=rows)
+
+
+def moves(rows):
+    """Whether the robot moves by its encoders in each row or sample, a Series."""
+    return (rows[_ENCODERS].abs() > _MOVING).any(axis=1)
 
 
 def travelled(rows, column, window_s=None):

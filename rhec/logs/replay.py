@@ -14,6 +14,7 @@ whole log is asked for, the track width and the noise of the positions.
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -33,10 +34,9 @@ from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.position_noise import declared_m, position_sigma_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import (
-    DECLARED,
     POSITION_AGE,
     delayed,
     measured_since,
@@ -82,7 +82,7 @@ ESTIMATOR_FIELDS = (
     "sigma_gyro",
     "sigma_heading",
 )
-N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+_N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
 # Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
 # yaw and the position of the antenna.
 _SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
@@ -240,19 +240,9 @@ def quantities_of(names=()):
     return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
 
 
-def hats_of(names=()):
-    """The columns of these estimates."""
-    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
-
-
 def measured_of(names=()):
     """The columns of the measurements of a robot with these sensors, in the order of z."""
     return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
-
-
-def _sigmas_of(names):
-    """The columns of the standard deviations of these estimates."""
-    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
 
 
 def model_of(choice):
@@ -300,6 +290,7 @@ def replay_of(scenario):
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
     measured = measured_of(names)
+    gyro, sigma_gyro = (GYRO, SIGMA_GYRO) if "gyro" in names else ([], [])
     return Replay(
         dt_s=paper.DT_S,
         model=model_of(choice),
@@ -307,8 +298,8 @@ def replay_of(scenario):
         measured=measured,
         means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
         recorded=dict(
-            estimate=hats_of(names),
-            sigma=_sigmas_of(names),
+            estimate=[*ESTIMATE, *LEVER_ARM, *gyro],
+            sigma=[*SIGMA, *sigma_gyro],
             deviance=["deviance"],
             kkt=["kkt_rhe"],
             ok=["ok"],
@@ -350,16 +341,18 @@ def _sigma_first(first):
     return sigma
 
 
-def _run(how, scenario, stream, yaw_rad, first):
+def _run(how, scenario, stream, first, yaw_rad, sigma_yaw_rad):
     """What the Replay records of one segment; NaN before the first position.
 
     Args:
         how: The Replay of the scenario.
         scenario: The Scenario of the estimator.
         stream: (n, 2 n_z), as of `recording.with_ages`.
-        yaw_rad: Guess of the initial yaw [rad].
         first: The InitialGuess.
+        yaw_rad: Guess of the initial yaw [rad].
+        sigma_yaw_rad: Its standard deviation [rad].
     """
+    first = first._replace(sigma_yaw_rad=sigma_yaw_rad)
     has_position = np.isfinite(stream[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(stream)
     x, y = stream[begin, :2] if has_position.any() else (0.0, 0.0)
@@ -369,31 +362,35 @@ def _run(how, scenario, stream, yaw_rad, first):
     return estimates
 
 
-def _innovations(how, estimates, stream):
+def innovations(how, estimates, stream):
     """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
     The prediction starts at the previous estimate and uses the encoder measurements until the time
     at which the position was measured.
     """
-    innovations = np.full((len(stream), 2), np.nan)
+    found = np.full((len(stream), 2), np.nan)
     if len(stream) > 1:
         z, ages_s = np.hsplit(stream[1:], 2)
         before = estimates[how.hats].to_numpy()[:-1]
         _, predicted = how.predict(before, z, how.dt_s - ages_s[:, 0])
-        innovations[1:] = z[:, :2] - predicted[:, :2]
-    return innovations
+        found[1:] = z[:, :2] - predicted[:, :2]
+    return found
 
 
-def _most_likely_heading(how, scenario, stream, first):
-    """`_run` with an unknown initial yaw: several directions are tried.
+def most_likely_heading(how, run_from, stream):
+    """What a Replay records of one segment with an unknown initial yaw: several are tried.
 
     A row is taken from the direction with the smallest sum of squared innovations until then, so
     that no row depends on later measurements.
+
+    Args:
+        how: The Replay.
+        run_from: Function (first yaw [rad], its standard deviation [rad]) -> what it records.
+        stream: (n, 2 n_z), as of `recording.with_ages`.
     """
-    unsure = first._replace(sigma_yaw_rad=np.pi / N_HEADINGS)
-    yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
-    runs = [_run(how, scenario, stream, yaw, unsure) for yaw in yaws]
-    squares = [np.square(_innovations(how, run, stream)) for run in runs]
+    yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
+    runs = [run_from(yaw_rad, np.pi / _N_HEADINGS) for yaw_rad in yaws]
+    squares = [np.square(innovations(how, run, stream)) for run in runs]
     best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
     chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
     return pd.DataFrame(chosen, columns=runs[0].columns)
@@ -477,8 +474,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     names = scenario.sensors
     noise_m = position_sigma_m(recording.rows)
     parts = []
-    for number, (segment, rows) in enumerate(recording.rows.groupby("segment")):
-        part = resample(rows, paper.DT_S, recording.averaged)
+    for number, part in enumerate(recording.samples()):
         if faults:
             _corrupt(part, faults, recording, names, seed)
         used = part
@@ -489,11 +485,12 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
         stream = with_ages(used, how.measured)
         yaw_rad = _first_yaw(first, number, part)
+        run_from = partial(_run, how, scenario, stream, first)
         if yaw_rad is None:
-            estimates = _most_likely_heading(how, scenario, stream, first)
+            estimates = most_likely_heading(how, run_from, stream)
         else:
-            estimates = _run(how, scenario, stream, yaw_rad, first)
-        part[INNOVATION] = _innovations(how, estimates, stream)
+            estimates = run_from(yaw_rad, first.sigma_yaw_rad)
+        part[INNOVATION] = innovations(how, estimates, stream)
         part = pd.concat([part, estimates], axis=1)
         # A heading tells the yaw whatever the course is.
         by_course = 0.0 if "heading" in names else yaw_sigma_rad(part, noise_m)
@@ -501,7 +498,6 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
             part = _smooth(how, part, stream, first)
         part[SIGMA_BY_COURSE] = by_course
         part[SIGMA[2]] = np.hypot(part[SIGMA[2]], by_course)
-        part.insert(0, "segment", segment)
         parts.append(part)
     samples = pd.concat(parts, ignore_index=True)
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
@@ -710,8 +706,8 @@ def replay(
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
         `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
-        model, is a list of sentences: whether the yaw is known, and what the log does not
-        determine. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
+        model, is a list of sentences: where the yaw is not known, and how often a gyro is left
+        out. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
 
     Raises:
         ValueError: If the log lacks columns or usable times, if it fails the plausibility checks,
@@ -722,7 +718,7 @@ def replay(
     """
     log = read_if_path(log)
     if model is not None:
-        refuse_with_model(
+        _refuse_with_model(
             track_width_m=track_width_m,
             lever_arm_m=lever_arm_m,
             first_yaw_rad=first_yaw_rad,
@@ -741,49 +737,37 @@ def replay(
     if not trust_log:
         refuse(recording)
     scenario = replay_scenario(estimator, recording, fields)
-    _refuse_lever_arm(lever_arm_m, scenario)
+    is_slipping_rhe = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
+    if lever_arm_m is not None and not is_slipping_rhe:
+        raise ValueError(
+            f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
+            "'slipping' takes one"
+        )
     if smooth is None:
-        smooth = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
-    _refuse_smooth(smooth, scenario)
+        smooth = is_slipping_rhe
+    if smooth and (scenario.estimator != "rhe" or scenario.speed_model == "parameter"):
+        raise ValueError(
+            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
+            "be smoothed"
+        )
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth=smooth)
     result = _at_rows(samples, recording, log, replay_of(scenario))
-    is_arm_estimated = scenario.speed_model == "slipping" and lever_arm_m is None
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
-    result.attrs["remarks"] = remarks(samples, is_arm_estimated)
+    result.attrs["remarks"] = remarks(samples)
     if unknown := unknown_yaw(samples):
         warnings.warn(unknown, stacklevel=3)
     return result
 
 
-def refuse_with_model(**arguments: Any) -> None:
+def _refuse_with_model(**arguments):
     """Raise a ValueError for the first argument that is not None."""
     for name, value in arguments.items():
         if value is not None:
             raise ValueError(f"{name} was {value!r}; a replay with a model does not take it")
-
-
-def _refuse_lever_arm(lever_arm_m, scenario):
-    """Raise a ValueError for a lever arm that the scenario's estimator does not take."""
-    takes_one = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
-    if lever_arm_m is not None and not takes_one:
-        raise ValueError(
-            f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
-            "'slipping' takes one"
-        )
-
-
-def _refuse_smooth(smooth, scenario):
-    """Raise a ValueError for an estimator that cannot be smoothed."""
-    takes_it = scenario.estimator == "rhe" and scenario.speed_model != "parameter"
-    if smooth and not takes_it:
-        raise ValueError(
-            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
-            "be smoothed"
-        )
 
 
 def _yaw_of_each_segment(first_yaw_rad, recording):
@@ -827,7 +811,8 @@ def replay_scenario(estimator, recording, fields):
         present = recording.sensors if is_rhe else ()
         fields = dict(sensors=present) | fields
         if fields.get("sigma_v") is None:
-            fields["sigma_v"] = _sigma_v_of_log(recording)
+            sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
+            fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
     _refuse_missing_sensors(fields.get("sensors", ()), recording)
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
     if not _runs_without_truth(scenario.estimator):
@@ -837,18 +822,6 @@ def replay_scenario(estimator, recording, fields):
             "the others need the truth"
         )
     return scenario
-
-
-def _sigma_v_of_log(recording):
-    """Standard deviations of the measurements, with that of the positions asked of the log.
-
-    Errors that wander do not show in the positions themselves, but the receiver may tell them.
-    """
-    sigma_m = position_sigma_m(recording.rows)
-    if DECLARED in recording.rows:
-        declared_m = recording.rows[DECLARED].median()
-        sigma_m = max(sigma_m, declared_m) if declared_m > 0 else sigma_m
-    return (sigma_m, sigma_m, *paper.SIGMA_V[2:])
 
 
 def _refuse_missing_sensors(names, recording):

@@ -19,8 +19,8 @@ import pandas as pd
 from rhec import paper
 from rhec.core.estimator.base import noise_of
 from rhec.core.model.base import Model, MotionNoise
-from rhec.logs.recording import resample, with_ages
-from rhec.logs.replay import N_HEADINGS, Replay, build_model_replay
+from rhec.logs.recording import with_ages
+from rhec.logs.replay import Replay, build_model_replay, innovations, most_likely_heading
 from rhec.simulation.columns import ESTIMATE, INNOVATION, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
@@ -108,12 +108,8 @@ RIVALS = {
 
 def parts_of(recording):
     """Samples of each segment of a Recording, with half the difference of the tracks' speeds."""
-    parts = []
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, paper.DT_S, recording.averaged).assign(segment=segment)
-        part[_DELTA] = recording.track_width_m / 2 * part[MEASUREMENTS[3]]
-        parts.append(part)
-    return parts
+    half_m = recording.track_width_m / 2
+    return [part.assign(**{_DELTA: half_m * part[MEASUREMENTS[3]]}) for part in recording.samples()]
 
 
 def same_noise(rival, settings, parts, half_m):
@@ -158,20 +154,6 @@ def _replay_of(rival, settings):
     )
 
 
-def _run_from(how, mean, sigma, stream):
-    """What a Replay records from a first mean and standard deviations on, with its innovations."""
-    values = dict(zip(how.model.joint_names, mean))
-    first = [values.get(name, 0.0) for name in how.quantities]
-    P = np.diag(np.square(sigma))
-    memory = np.concatenate([mean, P.ravel(), np.zeros(len(how.model.inputs)), [0.0], first])
-    found = how.scanned(memory, stream)
-    before = found[how.hats].to_numpy()[:-1]
-    z, ages_s = np.hsplit(stream[1:], 2)
-    _, predicted = how.predict(before, z, how.dt_s - ages_s[:, 0])
-    found[INNOVATION] = np.vstack([[np.nan, np.nan], z[:, :2] - predicted[:, :2]])
-    return found
-
-
 def run(rival, settings, part, half_m, yaw_rad=None, sigma_yaw_rad=0.3):
     """Samples of a rival on one segment, with the columns of a replay.
 
@@ -180,8 +162,7 @@ def run(rival, settings, part, half_m, yaw_rad=None, sigma_yaw_rad=0.3):
         settings: Its noise V, W and c.
         part: A segment's samples, as of `parts_of`.
         half_m: Half the track width [m].
-        yaw_rad: First yaw [rad]. If it is None, several directions are tried, and the one with the
-            smallest innovations until then counts, as in a replay.
+        yaw_rad: First yaw [rad]. If it is None, several directions are tried, as in a replay.
         sigma_yaw_rad: Its standard deviation [rad].
     """
     how = _replay_of(rival, settings)
@@ -189,16 +170,20 @@ def run(rival, settings, part, half_m, yaw_rad=None, sigma_yaw_rad=0.3):
     known = np.isfinite(stream[:, :2]).all(axis=1)
     place = stream[np.argmax(known), :2] if known.any() else (0.0, 0.0)
     guess, spread = rival.first(half_m)
-    yaws = [yaw_rad]
+
+    def run_from(yaw_rad, sigma_yaw_rad):
+        mean = np.array([*place, yaw_rad, *guess])
+        values = dict(zip(rival.model.joint_names, mean))
+        first = [values.get(name, 0.0) for name in how.quantities]
+        P = np.diag(np.square([_SIGMA_FIRST_M, _SIGMA_FIRST_M, sigma_yaw_rad, *spread]))
+        last_inputs = np.zeros(len(rival.model.inputs))
+        return how.scanned(np.concatenate([mean, P.ravel(), last_inputs, [0.0], first]), stream)
+
     if yaw_rad is None:
-        yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
-        sigma_yaw_rad = np.pi / N_HEADINGS
-    sigma = [_SIGMA_FIRST_M, _SIGMA_FIRST_M, sigma_yaw_rad, *spread]
-    runs = [_run_from(how, np.array([*place, yaw, *guess]), sigma, stream) for yaw in yaws]
-    squares = [np.nansum(np.square(each[INNOVATION]), axis=1) for each in runs]
-    best = np.argmin(np.cumsum(squares, axis=1), axis=0)
-    chosen = np.stack([each.to_numpy() for each in runs])[best, np.arange(len(part))]
-    found = pd.DataFrame(chosen, columns=runs[0].columns)
+        found = most_likely_heading(how, run_from, stream)
+    else:
+        found = run_from(yaw_rad, sigma_yaw_rad)
+    found[INNOVATION] = innovations(how, found, stream)
     found[: len(part) if not known.any() else np.argmax(known)] = np.nan
     hats = found[rival.hats].to_numpy()
     traction = rival.traction(hats[:, -len(rival.model.parameters) :], half_m)

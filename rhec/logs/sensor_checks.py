@@ -9,7 +9,6 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs.finding import refused
-from rhec.logs.recording import resample
 from rhec.simulation.columns import MEASUREMENTS, SENSORS
 
 _GYRO = SENSORS["gyro"]
@@ -32,8 +31,7 @@ _LARGEST_SPREAD_RAD = 0.7  # of that offset, for a clear one
 
 def check_sensors(recording):
     """Yield a Finding for each wrong sign, axis, unit or zero of a Recording's gyro and heading."""
-    groups = recording.rows.groupby("segment") if recording.sensors else ()
-    parts = [resample(rows, paper.DT_S, recording.averaged) for _, rows in groups]
+    parts = recording.samples() if recording.sensors else []
     if "gyro" in recording.sensors:
         turns = np.concatenate([part[[_YAW_RATE, _GYRO]].to_numpy() for part in parts])
         yield from _check_turns(paper.DT_S * turns, recording, _GYRO, "rad/s")

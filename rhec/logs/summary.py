@@ -14,18 +14,17 @@ from scipy.stats import binomtest
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
-from rhec.logs.comparison import Comparison, compare, moves
+from rhec.logs.comparison import Comparison, compare
 from rhec.logs.doctor import Diagnosis, doctor
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare, travelled
+from rhec.logs.remarks import unknown_yaw
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA
+from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_KNOWN_YAW_RAD = 0.25  # standard deviation of a yaw that is known
-_OFTEN = 0.1  # share of the samples in which the robot moves
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _LEAST_COVERED = 0.8  # share of the causal yaw within its 95 % of the smoothed one
 _HONEST = 0.95  # share of hidden positions within their 95 %
@@ -86,9 +85,9 @@ class Summary:
         if self.samples is None:
             raise ValueError(f"the log has no estimates to draw. {self.verdict}")
         # Imported here, because most summaries are only printed.
-        from rhec.logs.picture import picture
+        from rhec.plot import log_overview
 
-        return picture(self)
+        return log_overview(self)
 
 
 def _text(table):
@@ -177,12 +176,8 @@ def _verdict(recording, traction, comparison, smoothed):
     doubts = []
     if travelled(recording.rows, MEASUREMENTS[3]) < _LEAST_TURNED_RAD:
         doubts.append("κ is not excited: drive two figures of eight")
-    unknown = (smoothed[SIGMA[2]] > _KNOWN_YAW_RAD)[moves(smoothed)].mean()
-    if unknown > _OFTEN:
-        doubts.append(
-            f"the yaw is unknown in {unknown:.0%} of the drive, because positions and encoders "
-            "contradict each other or say little: log a gyro or a heading"
-        )
+    if unknown := unknown_yaw(smoothed):
+        doubts.append(f"{unknown[0].lower()}{unknown[1:-1]}")
     rhe = comparison.table.iloc[0]
     if rhe["yaw in 95 %"] < _LEAST_COVERED:
         doubts.append(

@@ -161,19 +161,6 @@ def test_a_robot_that_stands_cannot_be_calibrated():
         rhec.calibrate(log, trust_log=True)
 
 
-# What a replay says of its log
-
-
-@may_be_unsure
-@pytest.mark.parametrize(
-    "still, remark", [("speed_mps", "never moves"), ("yaw_rate_radps", "turns")]
-)
-def test_a_replay_says_what_its_log_cannot_show(still, remark):
-    log = recorded_log(noise_m=0.02).assign(**{still: 0.0})
-    result = rhec.replay(log, first_yaw_rad=0.4, trust_log=True)
-    assert any(remark in said for said in result.attrs["remarks"])
-
-
 def test_the_command_refuses_in_a_sentence(tmp_path):
     command = [sys.executable, "-m", "rhec", "calibrate", tmp_path / "missing.csv"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

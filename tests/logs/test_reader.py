@@ -373,7 +373,7 @@ def test_a_table_has_no_topics_and_wheels_need_a_radius(tmp_path):
 
 def test_a_path_serves_where_a_log_does(tmp_path):
     file = tmp_path / "drive.csv"
-    recorded_log(5.0, 60.0, noise_m=0.02).to_csv(file, index=False)
+    recorded_log(5.0, 30.0, noise_m=0.02).to_csv(file, index=False)
     log = rhec.logs.read(file)
     pd.testing.assert_frame_equal(rhec.replay(file), rhec.replay(log))
     assert str(rhec.doctor(str(file))) == str(rhec.doctor(log))

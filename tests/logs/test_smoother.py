@@ -103,6 +103,7 @@ def test_a_calibration_speaks_of_multipliers(calibrated):
     assert abs(terms.loc["delay of the positions", "value"]) < 0.05
 
 
+@pytest.mark.nightly
 def test_its_yaml_has_the_parameters_of_the_driver(calibrated):
     for line in ("wheel_separation_multiplier: 1.", "left_wheel_radius_multiplier: 0.", "x: 0.2"):
         assert line in calibrated.yaml

@@ -15,7 +15,7 @@ from rhec.logs.outputs import FILES_OF_SUMMARY
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
 
-LOG = recorded_log(5.0, 150.0, noise_m=0.02, seed=3)
+LOG = recorded_log(5.0, 100.0, noise_m=0.02, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_a_log_without_turns_does_not_tell_kappa():
 
 def test_positions_that_contradict_the_encoders_are_not_trusted():
     """They come from another drive, so that no yaw explains them."""
-    other = recorded_log(5.0, 150.0, start_rad=2.0, noise_m=0.02, seed=4)
+    other = recorded_log(5.0, 100.0, start_rad=2.0, noise_m=0.02, seed=4)
     mixed = LOG.assign(x_m=other["y_m"].to_numpy()[::-1], y_m=other["x_m"].to_numpy()[::-1])
     assert rhec.log(mixed, trust_log=True).verdict.startswith("Do not trust it yet")
 
