@@ -4,7 +4,7 @@ from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.recording import moves
 from rhec.simulation.columns import GYRO_ACCEPTED, MEASUREMENTS, SENSORS, SIGMA
 
-_UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
+UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
 _OFTEN = 0.1  # share of the samples
 _NOTABLE = 0.01  # the same, of a fault
 _MOVING_MPS = 0.05
@@ -17,10 +17,10 @@ def unknown_yaw(samples):
         samples: DataFrame of a replay's samples.
     """
     moving = samples[samples[MEASUREMENTS[2]].abs() > _MOVING_MPS]
-    is_unsure = moving[SIGMA[2]] > _UNSURE_YAW_RAD
+    is_unsure = moving[SIGMA[2]] > UNSURE_YAW_RAD
     if not is_unsure.mean() > _OFTEN:
         return None
-    by_course = (moving[SIGMA_BY_COURSE] > _UNSURE_YAW_RAD)[is_unsure].mean() > 0.5
+    by_course = (moving[SIGMA_BY_COURSE] > UNSURE_YAW_RAD)[is_unsure].mean() > 0.5
     why = "positions and encoders say little of it"
     if by_course:
         why = (
@@ -29,7 +29,7 @@ def unknown_yaw(samples):
         )
     told = "a heading" if by_course else "a gyro or a heading"
     return (
-        f"The yaw is not known to {_UNSURE_YAW_RAD} rad in {is_unsure.mean():.1%} of the drive, "
+        f"The yaw is not known to {UNSURE_YAW_RAD} rad in {is_unsure.mean():.1%} of the drive, "
         f"because {why}; {told} in the log would tell it."
     )
 
