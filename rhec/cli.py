@@ -546,7 +546,7 @@ _COMMANDS = {
     campaign: list,
     log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
     doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
-    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT)],
+    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
     replay: _replay_options,
     export: _fields,
     lab: list,

@@ -14,18 +14,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
+from rhec.core.model.base import Model
 from rhec.logs import filtering, minimum, terms
+from rhec.logs.calibrated import (
+    Calibration,
+    is_determined,
+    minus_log_posterior,
+    most_likely,
+    posterior_covariance,
+    report,
+)
 from rhec.logs.checks import facts, refuse
 from rhec.logs.comparison import HIDDEN_S, hidden_errors
+from rhec.logs.filtering import Loss
+from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare, travelled, with_ages
-from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
+from rhec.logs.replay import (
+    InitialGuess,
+    estimate_samples,
+    measured_of,
+    refuse_with_model,
+    replay_scenario,
+)
 from rhec.simulation.columns import MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
@@ -72,45 +89,7 @@ _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
 _LEAST_OUTAGES = 6
 _WORSE = 1.05
 _LEAST_ERROR_M = 0.01  # smaller errors are those of the positions themselves
-_HESSIAN_STEP = 0.1  # in prior standard deviations
-# A log determines a parameter if it reduces the standard deviation below this share of the prior's.
-_DETERMINED = 0.5
-_LARGEST = 4.0  # prior standard deviations within which is searched
-_UNUSABLE = 1e12  # the objective where a filter diverges
 _ONE_SIDED = 1.645  # 95 % quantile of the normal distribution
-
-
-class Calibration(dict):
-    """Arguments of `rhec.replay` that calibrate it for a log.
-
-    They are sigma_v, sigma_w, slip, and lever_arm_m if the log determines it.
-
-    Attributes:
-        report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
-            interval, unit, and `determined`, whether the log determines the parameter. Otherwise
-            the value is close to the prior.
-        terms: DataFrame, the same in the terms of ROS: multipliers of wheel separation and radius,
-            effective track width, bias and scale of the gyro, place of the antenna, delay and noise
-            of the positions, each with its 95 % interval (`rhec.logs.terms`).
-        yaml: These for diff_drive_controller and robot_localization.
-        remarks: Sentences, such as that the defaults of `rhec.replay` are kept.
-    """
-
-    report: pd.DataFrame
-    terms: pd.DataFrame
-    yaml: str
-    remarks: list[str]
-
-    def __str__(self) -> str:
-        undetermined = list(self.report.index[~self.report["determined"]])
-        summary = "The log determines all parameters."
-        if undetermined:
-            summary = f"The log does not determine: {', '.join(undetermined)}."
-        report, in_terms = (
-            table.to_string(float_format="{:.4g}".format) if len(table) else ""
-            for table in (self.report, self.terms)
-        )
-        return "\n".join([report, summary, "", in_terms, *self.remarks]).rstrip("\n")
 
 
 class _Unknown(NamedTuple):
@@ -210,7 +189,7 @@ def _filtered(z, x, yaw_rad, robot):
     mean = np.array([guess.get(name, 0.0) for name in model.joint_names])
     sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
     settings = estimator_of("rhe").settings(scenario)
-    return filtering.run(model, paper.DT_S, z, (mean, sigma), settings)
+    return filtering.run(model, paper.DT_S, Loss.HUBER, z, (mean, sigma), settings)
 
 
 def _driven(z):
@@ -242,49 +221,17 @@ def _losses(x, segments, yaws, robot):
 
 def _objective(segments, yaws, robot):
     """The function of x that is minimised: -log posterior, up to a constant."""
-
-    def objective(x):
-        losses = _losses(x, segments, yaws, robot)
-        value = sum(loss.sum() for loss in losses) / 2 + x @ x / 2
-        return float(value) if np.isfinite(value) else _UNUSABLE
-
-    return objective
-
-
-def _most_likely(objective, x):
-    """The x (n,) within ±_LARGEST where an objective is least, searched from x."""
-    bounds = [(-_LARGEST, _LARGEST)] * len(x)
-    return minimize(objective, x, method="L-BFGS-B", bounds=bounds, options=dict(maxiter=50)).x
-
-
-def _posterior_covariance(objective, x):
-    """H⁻¹ of the objective's Hessian H at its minimum x, by finite differences, at most the prior.
-
-    The Hessian of the prior is the identity, so eigenvalues of H below 1 are numerical errors.
-    """
-    n = len(x)
-    h = _HESSIAN_STEP
-    steps = h * np.eye(n)
-    center = objective(x)
-    ahead = np.array([objective(x + step) for step in steps])
-    behind = np.array([objective(x - step) for step in steps])
-    H = np.diag((ahead - 2 * center + behind) / h**2)
-    for i, j in zip(*np.triu_indices(n, 1)):
-        both = objective(x + steps[i] + steps[j])
-        H[i, j] = (both - ahead[i] - ahead[j] + center) / h**2
-        H[j, i] = H[i, j]
-    values, vectors = np.linalg.eigh(H)
-    return vectors / np.clip(values, 1.0, None) @ vectors.T
+    return lambda x: minus_log_posterior(_losses(x, segments, yaws, robot), x)
 
 
 def _fitted(segments, robot, yaws=None):
     """The x and the initial yaws that make these segments likeliest."""
     x = np.zeros(len(_unknowns(robot.sensors)))
     if yaws is not None:
-        return _most_likely(_objective(segments, yaws, robot), x), yaws
+        return most_likely(_objective(segments, yaws, robot), x), yaws
     for _ in range(2):  # the second search starts from better initial yaws
         yaws = [_first_yaw(z, x, robot) for z in segments]
-        x = _most_likely(_objective(segments, yaws, robot), x)
+        x = most_likely(_objective(segments, yaws, robot), x)
     return x, yaws
 
 
@@ -322,9 +269,12 @@ def _search(segments, robot):
 def calibrate(
     log: Any,
     *,
+    model: Model | None = None,
     track_width_m: Positive | None = None,
     position_delay_s: Real = 0.0,
+    delays_s: dict[str, Real] | None = None,
     trust_log: Flag = False,
+    **arguments: Any,
 ) -> Calibration:
     """Estimate noise, side slip and lever arm of a recorded robot from its log, without truth.
 
@@ -336,13 +286,19 @@ def calibrate(
     Args:
         log: The path of a file, or DataFrame of a recording, as `rhec.replay` takes it. Its truth
             is not used.
+        model: A rhec.Model, whose noise is calibrated instead (`rhec.logs.model_calibration`).
         track_width_m: Distance of the tracks [m], as in `rhec.replay`.
         position_delay_s: Delay of the time stamps of the positions relative to the encoders [s].
+        delays_s: With a model, {output: delay of its time stamps [s]}.
         trust_log: Whether to skip the plausibility checks, as in `rhec.replay`.
+        **arguments: With a model, those of `rhec.replay`: dt, sigma_v, sigma_w, guess, sigma_guess,
+            horizon, arrival_mean. Each sigma_v and sigma_w is the middle of its prior, by a
+            factor of 3; where it is 0 it remains 0.
 
     Returns:
         Calibration, a dict of arguments of `rhec.replay` with a `report`. It has those of
-        the arguments above that differ from their defaults.
+        the arguments above that differ from their defaults. With a model it has all of them, with
+        the calibrated sigma_v and sigma_w, and the report also lists the model's parameters.
 
     Raises:
         ValueError: If `rhec.replay` refuses the log, or if no segment has 50 positions over a
@@ -352,6 +308,10 @@ def calibrate(
         UserWarning: If the positions are late.
     """
     log = read_if_path(log)
+    if model is not None:
+        of_robot = (track_width_m, position_delay_s or None, trust_log or None)
+        return _with_model(log, model, delays_s, arguments, of_robot)
+    _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
     recording = prepare(log, track_width_m)
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
@@ -364,7 +324,7 @@ def calibrate(
     segments = _streams(recording)
     x, yaws, segments, wanders = _search(segments, robot)
     objective = _objective(segments, yaws, robot)
-    deviation = np.sqrt(np.diag(_posterior_covariance(objective, x)))
+    deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
     of_segments = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
     last = filtering.last_estimates(_model_of(robot.sensors), of_segments)
     arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
@@ -402,6 +362,23 @@ def _remarks(wanders, delay, position_delay_s):
             f"calibrate and replay with position_delay_s={delay_s:.2f}."
         )
     return remarks
+
+
+def _with_model(log, model, delays_s, arguments, of_robot):
+    """The Calibration of a Model, which takes none of the three arguments of a robot."""
+    names = ("track_width_m", "position_delay_s", "trust_log")
+    refuse_with_model(**dict(zip(names, of_robot)))
+    return calibrate_model(log, model, delays_s, arguments)
+
+
+def _refuse_without_model(arguments):
+    """Raise a ValueError for arguments of a calibration with a model."""
+    if arguments:
+        name = next(iter(arguments))
+        raise ValueError(
+            f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
+            "position_delay_s, trust_log"
+        )
 
 
 def _widen(result, names):
@@ -534,21 +511,17 @@ def _keep_better(result, recording, yaws):
 def _report(x, deviation, arm, sigma_arm, names):
     """The report of a Calibration."""
     unknowns = _unknowns(names)
-    value, low, high = (_values(x + side * deviation, names) for side in (0, -1.96, 1.96))
-    numbers = pd.DataFrame(
-        dict(
-            value=value,
-            low=low,
-            high=high,
-            unit=[unknown.unit for unknown in unknowns],
-            determined=deviation < _DETERMINED,
-        ),
-        index=[unknown.name for unknown in unknowns],
+    numbers = report(
+        [unknown.name for unknown in unknowns],
+        [unknown.unit for unknown in unknowns],
+        *(_values(x + side * deviation, names) for side in (0, -1.96, 1.96)),
+        is_determined(deviation),
     )
     position = unknowns[0]
     limits = ["value", "low", "high"]
     if numbers.loc[position.name, "value"] > position.least:
         numbers.loc[position.name, limits] /= _HUBER_SHRINKS
-    antenna = dict(value=arm, low=arm - 1.96 * sigma_arm, high=arm + 1.96 * sigma_arm, unit="m")
-    antenna["determined"] = sigma_arm < _DETERMINED_ARM_M
-    return pd.concat([numbers, pd.DataFrame(antenna, index=["antenna ahead", "antenna left"])])
+    interval = (arm - 1.96 * sigma_arm, arm + 1.96 * sigma_arm)
+    is_known = sigma_arm < _DETERMINED_ARM_M
+    antenna = report(["antenna ahead", "antenna left"], "m", arm, *interval, is_known)
+    return pd.concat([numbers, antenna])

@@ -1,10 +1,13 @@
-"""The Kalman filter of a recorded log, of the calibration and of the smoother.
+"""The Kalman filter of a recorded log, of any Model: calibrations and the smoother are its choices.
 
-It is scanned over the samples of a segment.
+It is scanned over the samples of a segment. How far a measurement may count is a `Loss`.
 """
+
+from enum import Enum
 
 import casadi as ca
 import numpy as np
+from scipy.stats import chi2
 
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -16,6 +19,7 @@ from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import base
 
 OUTLIER = 1.5  # standard deviations from which on a position counts less
+_OUTLIERS = 1e-3  # share of good samples that count less by the logarithm
 
 
 def _correct_by_huber(m, P, z, V, outputs, s_bar):
@@ -37,22 +41,50 @@ def _correct_by_huber(m, P, z, V, outputs, s_bar):
     return updated._replace(deviance=ca.if_else(is_used, loss, 0) + deviance)
 
 
+def _correct_by_logarithm(m, P, z, V, outputs, s_bar):
+    """`kalman.update` in which a sample may be an outlier, which counts less in its deviance.
+
+    That is c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then
+    1 + log r.
+    """
+    limit = float(chi2.isf(_OUTLIERS, max(len(outputs), 1)))
+    plain = kalman.update(m, P, z, V, outputs, s_bar)
+    far = plain.distance / limit
+    loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))
+    loss += plain.deviance - plain.distance
+    # This loss gives an outlier the weight of a measurement with a variance larger by d/c.
+    updated = kalman.update(m, P, z, V * ca.fmax(far, 1), outputs, s_bar)
+    return updated._replace(deviance=loss)
+
+
+class Loss(Enum):
+    """By what an innovation counts in the likelihood of a log."""
+
+    SQUARE = "every measurement as it is"
+    HUBER = "positions far away in proportion to their distance"
+    LOGARITHM = "samples far away by the logarithm of their distance"
+
+
+_CORRECTIONS = {
+    Loss.SQUARE: kalman.update,
+    Loss.HUBER: _correct_by_huber,
+    Loss.LOGARITHM: _correct_by_logarithm,
+}
 _FILTERED = ("estimate", "variances", "loss")
 _SMOOTHED = ("estimate", "covariance", "m_predicted", "P_predicted", "A")
 
 
-def build(model, dt_s, along_trajectory=False):
+def build(model, dt_s, loss, along_trajectory=False):
     """The scan of a Model's Kalman filter over samples of a log.
 
     A row of its stream is that of `recording.with_ages`. The filter records _FILTERED: the mean
-    of the joint state, its variances and the loss, in which positions may be outliers. Or it is
-    linearised along a given trajectory, whose joint states s_before and s_now at both ends of the
-    interval follow in the stream, and records _SMOOTHED, which a smoother needs.
+    of the joint state, its variances and the loss. Or it is linearised along a given trajectory,
+    whose joint states s_before and s_now at both ends of the interval follow in the stream, and
+    records _SMOOTHED, which a smoother needs.
     """
     n_z = len(model.outputs)
     recorded = _SMOOTHED if along_trajectory else _FILTERED
-    correct = kalman.update if along_trajectory else _correct_by_huber
-    kalman_filter = Filter(base.interval(model), dt_s, correct)
+    kalman_filter = Filter(base.interval(model), dt_s, _CORRECTIONS[loss])
     streamed = dict.fromkeys(["s_before", "s_now"] if along_trajectory else [], (model.n_s, 1))
     shapes = dict(z_N=(2 * n_z, 1), noise=noise_shapes(model), W=(model.n_s, 1), **streamed)
 
@@ -71,12 +103,13 @@ def build(model, dt_s, along_trajectory=False):
     return runner.build_recorded(step, recorded, [*streamed])
 
 
-def run(model, dt_s, stream, first, settings, trajectory=None):
+def run(model, dt_s, loss, stream, first, settings, trajectory=None):
     """What the filter of `build` records in a segment, {name: array}.
 
     Args:
         model: The Model.
         dt_s: Length of a sample [s].
+        loss: The Loss.
         stream: (n, 2 n_z), as of `recording.with_ages`.
         first: Mean and standard deviations, (n_s,) each, of the joint state before the first
             sample.
@@ -85,7 +118,7 @@ def run(model, dt_s, stream, first, settings, trajectory=None):
     """
     mean, sigma = first
     begin = dict(m=mean, P=np.diag(np.square(sigma)), v=np.zeros(len(model.inputs)), started=0.0)
-    functions = compiled.load(build, model, dt_s, trajectory is not None)
+    functions = compiled.load(build, model, dt_s, loss, trajectory is not None)
     if trajectory is not None:
         before = np.vstack([trajectory[:1], trajectory[:-1]])
         stream = np.column_stack([stream, before, trajectory])

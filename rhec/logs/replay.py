@@ -240,9 +240,19 @@ def quantities_of(names=()):
     return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
 
 
+def hats_of(names=()):
+    """The columns of these estimates."""
+    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
+
+
 def measured_of(names=()):
     """The columns of the measurements of a robot with these sensors, in the order of z."""
     return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
+
+
+def _sigmas_of(names):
+    """The columns of the standard deviations of these estimates."""
+    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
 
 
 def model_of(choice):
@@ -290,7 +300,6 @@ def replay_of(scenario):
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
     measured = measured_of(names)
-    gyro, sigma_gyro = (GYRO, SIGMA_GYRO) if "gyro" in names else ([], [])
     return Replay(
         dt_s=paper.DT_S,
         model=model_of(choice),
@@ -298,8 +307,8 @@ def replay_of(scenario):
         measured=measured,
         means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
         recorded=dict(
-            estimate=[*ESTIMATE, *LEVER_ARM, *gyro],
-            sigma=[*SIGMA, *sigma_gyro],
+            estimate=hats_of(names),
+            sigma=_sigmas_of(names),
             deviance=["deviance"],
             kkt=["kkt_rhe"],
             ok=["ok"],
@@ -718,7 +727,7 @@ def replay(
     """
     log = read_if_path(log)
     if model is not None:
-        _refuse_with_model(
+        refuse_with_model(
             track_width_m=track_width_m,
             lever_arm_m=lever_arm_m,
             first_yaw_rad=first_yaw_rad,
@@ -737,19 +746,10 @@ def replay(
     if not trust_log:
         refuse(recording)
     scenario = replay_scenario(estimator, recording, fields)
-    is_slipping_rhe = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
-    if lever_arm_m is not None and not is_slipping_rhe:
-        raise ValueError(
-            f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
-            "'slipping' takes one"
-        )
+    _refuse_lever_arm(lever_arm_m, scenario)
     if smooth is None:
-        smooth = is_slipping_rhe
-    if smooth and (scenario.estimator != "rhe" or scenario.speed_model == "parameter"):
-        raise ValueError(
-            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
-            "be smoothed"
-        )
+        smooth = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
+    _refuse_smooth(smooth, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
@@ -763,11 +763,31 @@ def replay(
     return result
 
 
-def _refuse_with_model(**arguments):
+def refuse_with_model(**arguments: Any) -> None:
     """Raise a ValueError for the first argument that is not None."""
     for name, value in arguments.items():
         if value is not None:
             raise ValueError(f"{name} was {value!r}; a replay with a model does not take it")
+
+
+def _refuse_lever_arm(lever_arm_m, scenario):
+    """Raise a ValueError for a lever arm that the scenario's estimator does not take."""
+    takes_one = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
+    if lever_arm_m is not None and not takes_one:
+        raise ValueError(
+            f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
+            "'slipping' takes one"
+        )
+
+
+def _refuse_smooth(smooth, scenario):
+    """Raise a ValueError for an estimator that cannot be smoothed."""
+    takes_it = scenario.estimator == "rhe" and scenario.speed_model != "parameter"
+    if smooth and not takes_it:
+        raise ValueError(
+            "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
+            "be smoothed"
+        )
 
 
 def _yaw_of_each_segment(first_yaw_rad, recording):

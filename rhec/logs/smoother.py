@@ -9,6 +9,7 @@ Sec. 9.1). The first trajectory is that of the replay, which also decides which 
 import numpy as np
 
 from rhec.logs import filtering
+from rhec.logs.filtering import Loss
 
 _ITERATIONS = 3
 # Errors of recorded positions and slip last longer than a sample. A smoother averages over more
@@ -31,7 +32,7 @@ def smoothed(model, dt_s, settings, sigma_first, trajectory, stream):
     first = (trajectory[0], sigma_first)
     s = trajectory
     for _ in range(_ITERATIONS):
-        recorded = filtering.run(model, dt_s, stream, first, settings, s)
+        recorded = filtering.run(model, dt_s, Loss.SQUARE, stream, first, settings, s)
         s, P = _backwards(recorded)
     return s, _CORRELATED * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0))
 
