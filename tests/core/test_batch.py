@@ -205,6 +205,27 @@ def cart_samples(k, run):
     return x[k, run], p[k, run], np.zeros((2, 6)), np.zeros((1, 5))
 
 
+def test_changes_are_counted_from_the_inputs_that_were_applied():
+    """Of each run its own, of some it is not known; from the first sample on."""
+    batch = rhec.batch(constrained_cart(), RUNS)
+    singles = [constrained_cart() for _ in range(RUNS)]
+    applied = np.random.default_rng(4).uniform(-1, 1, size=(SAMPLES, RUNS, 1))
+    applied[:, ::3] = np.nan
+    for k in range(3):
+        found = batch.feedback(*cart_samples(k, slice(None)), u_before=applied[k])
+        for run, single in enumerate(singles):
+            single.prepare()
+            expected = single.feedback(*cart_samples(k, run), u_before=applied[k, run])
+            np.testing.assert_array_equal(found[run], expected)
+    unlike = [
+        rhec.batch(constrained_cart(), RUNS).feedback(*cart_samples(0, slice(None)), u_before=each)
+        for each in (None, [0.9])
+    ]
+    assert not np.array_equal(*unlike)
+    with pytest.raises(ValueError, match=r"^u_before had shape \(2,\); it should have \(11, 1\)"):
+        batch.feedback(*cart_samples(0, slice(None)), u_before=np.zeros(2))
+
+
 @pytest.mark.nightly
 def test_controllers_with_constraints():
     batch = rhec.batch(constrained_cart(), RUNS)

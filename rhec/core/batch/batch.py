@@ -23,6 +23,7 @@ from rhec.core.estimator.base import variances_w
 from rhec.core.estimator.ekf import EKF
 from rhec.core.estimator.rhe import RHE
 from rhec.core.lanes import lanes
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.solver.rti import IMPROVE
 
 Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
@@ -147,6 +148,7 @@ class _Batch:
         new = np.flatnonzero(self._is_new)
         if len(new):
             set_runs(self._memory, new, self._first_memory(new))
+        self._set_pieces()
         self._is_new[:] = False
         self._is_prepared = False
         if iterations is not None:
@@ -181,6 +183,9 @@ class _Batch:
             (expanded, memory): the memory that the next sample shifts, and that of this sample.
         """
         raise NotImplementedError
+
+    def _set_pieces(self):
+        """Set what is said of the sample before and belongs to the memory."""
 
     def _get(self, name, *shape):
         """Return a copy of a result, (n, *shape)."""
@@ -258,6 +263,7 @@ class RHCBatch(_IteratedBatch):
 
     def __init__(self, source: RHC, n: int):
         problem = self._problem = source.problem
+        self._structure = source.structure
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
         inputs |= dict(u_ref=(problem.n_u, problem.N))
         self._first_values = functools.partial(rhc.init, source.structure, settings=source.settings)
@@ -270,7 +276,9 @@ class RHCBatch(_IteratedBatch):
         if "y_ref" in inputs:
             self._arguments["y_ref"] = shared(np.zeros(np.prod(inputs["y_ref"])), self._width)
 
-    def feedback(self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None) -> np.ndarray:
+    def feedback(
+        self, x: Any, p: Any, x_ref: Any, u_ref: Any, y_ref: Any = None, u_before: Any = None
+    ) -> np.ndarray:
         """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
         An argument that is the same for all runs may have the shape of one.
@@ -281,6 +289,8 @@ class RHCBatch(_IteratedBatch):
             x_ref: (n, n_x, N+1) desired states; node 0 is now and has no weight.
             u_ref: (n, n_u, N) desired inputs.
             y_ref: (n, n_y, N+1) desired outputs; None: the last ones, at first 0.
+            u_before: (n, n_u) inputs that were applied in the interval before, from which changes
+                are counted; None, or an entry that is not finite: those of the last sample.
 
         Returns:
             (n, n_u) inputs of the first interval.
@@ -288,12 +298,19 @@ class RHCBatch(_IteratedBatch):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._run(self._problems(x, p, x_ref, u_ref, y_ref))
+        self._run(self._problems(x, p, x_ref, u_ref, y_ref, u_before))
         return self.u_plan[:, :, 0]
 
     @checked
     def solve(
-        self, x: Any, p: Any, x_ref: Any, u_ref: Any, iterations: Steps = 20, y_ref: Any = None
+        self,
+        x: Any,
+        p: Any,
+        x_ref: Any,
+        u_ref: Any,
+        iterations: Steps = 20,
+        y_ref: Any = None,
+        u_before: Any = None,
     ) -> Any:
         """Iterate to convergence on the nonlinear problems.
 
@@ -304,6 +321,7 @@ class RHCBatch(_IteratedBatch):
             u_ref: (n, n_u, N) desired inputs.
             iterations: Gauss-Newton steps, at most; a run ends once it has converged.
             y_ref: (n, n_y, N+1) desired outputs; None: the last ones, at first 0.
+            u_before: Inputs of the interval before, as in `feedback`.
 
         Returns:
             (n, n_u) inputs of the first interval.
@@ -311,7 +329,7 @@ class RHCBatch(_IteratedBatch):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._run(self._problems(x, p, x_ref, u_ref, y_ref), iterations)
+        self._run(self._problems(x, p, x_ref, u_ref, y_ref, u_before), iterations)
         return self.u_plan[:, :, 0]
 
     @property
@@ -319,14 +337,32 @@ class RHCBatch(_IteratedBatch):
         """Planned inputs (n, n_u, N)."""
         return self._get("u_plan", self._problem.N, self._problem.n_u).swapaxes(1, 2)
 
-    def _problems(self, x, p, x_ref, u_ref, y_ref):
-        """Return the inputs of a sample, by name."""
+    def _problems(self, x, p, x_ref, u_ref, y_ref, u_before):
+        """Return the inputs of a sample, by name, and keep the commands before it."""
+        self._before = None
+        if u_before is not None:
+            rhc.refuse_before(self._structure, u_before)
+            u = _checked_input("u_before", u_before, self.n, (self._problem.n_u,))
+            self._before = u[:, list(self._problem.command)]
         given = dict(s_0=self._joined(x, p), x_ref=x_ref, u_ref=u_ref)
         if y_ref is None:
             return given
         if "y_ref" not in self._shapes:
             refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
         return given | dict(y_ref=y_ref)
+
+    def _set_pieces(self):
+        if self._before is None:
+            return
+        names = [*self._structure.memory]
+        lengths = [math.prod(shape) for shape in self._structure.memory.values()]
+        first = sum(lengths[: names.index("before")])
+        place = slice(first, first + self._before.shape[1])
+        runs = np.arange(self.n)
+        memory = get_runs(self._memory, runs)
+        is_number = np.abs(self._before) <= MAX_PLAUSIBLE_STATE
+        memory[:, place] = np.where(is_number, self._before, memory[:, place])
+        set_runs(self._memory, runs, memory)
 
     def _joined(self, x, p):
         """Return the joint states (n, n_s)."""

@@ -50,6 +50,13 @@ def build_phases(horizon, *doublings):
     return phases.build(horizon, make_stages(horizon, *doublings))
 
 
+def refuse_before(structure, u_before):
+    """Raise a ValueError for inputs of the sample before, where no change of an input matters."""
+    if not structure.has_changes:
+        expected = "it should be None, since changes have neither weights nor bounds"
+        valid.refuse("u_before was", u_before, expected)
+
+
 class RHC(RealTimeLoop):
     """Model predictive control for a user's control loop: `prepare()`, then `feedback(…)`.
 
@@ -332,9 +339,7 @@ class RHC(RealTimeLoop):
         """The commands (n_c,) among the inputs (n_u,) that were applied before, or None."""
         if u_before is None:
             return None
-        if not self.structure.has_changes:
-            expected = "it should be None, since changes have neither weights nor bounds"
-            valid.refuse("u_before was", u_before, expected)
+        refuse_before(self.structure, u_before)
         u = np.zeros(self.problem.n_u)
         copy_checked("u_before", u_before, u)
         return u[list(self.problem.command)]
