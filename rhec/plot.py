@@ -85,7 +85,11 @@ def log_overview(summary):
         panels[symbol].sharex(panels["yaw"])
         panels[symbol].tick_params(labelbottom=False)
     panels["yaw"].set_xlabel("t [s]")
-    figure.legend(*panels["κ"].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    handles = {}
+    for symbol in ("κ", "yaw"):
+        lines, names = panels[symbol].get_legend_handles_labels()
+        handles |= dict(zip(names, lines))
+    figure.legend(handles.values(), handles, loc="outside upper right", ncols=3)
     return figure
 
 
@@ -123,8 +127,7 @@ def _draw_yaw(axes, causal, smoothed):
         _, error = _broken(smoothed.assign(error=error), "t_s", "error")
         axes.plot(t_s, error, color=colour, linewidth=0.7, label=name)
     extent = np.clip(1.5 * np.nanquantile(limit, 0.95), 0.1, np.pi)
-    axes.set(ylim=(-extent, extent), ylabel="yaw - smoothed [rad]")
-    axes.legend(ncols=2)
+    axes.set(ylim=(-extent, extent), ylabel="yaw − smoothed\n[rad]")
 
 
 def _draw_path(axes, samples):

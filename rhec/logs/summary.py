@@ -71,6 +71,9 @@ class Summary:
             lines += _indented(_text(self.traction))
             lines += ["", "On the way, with 10 s of positions hidden again and again:"]
             lines += _indented(_text(self.comparison.table))
+            lines += [
+                "  The EKF of (μ, κ) is the paper's model, without a lever arm of the antenna."
+            ]
         return "\n".join([*lines, "", self.asked, "", self.verdict])
 
     def plot(self) -> "Figure":
