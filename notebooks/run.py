@@ -251,6 +251,8 @@ def main():
             parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
     values = {name: _value(text) for name, text in args.p}
     output = args.output or _output(notebook, values)
+    if output.suffix != ".ipynb":
+        parser.exit(2, f"--output was {output}; it must be a file's name that ends with .ipynb\n")
     if args.if_edited and _has_cells_of(notebook, output):
         output.touch()
         return
@@ -291,7 +293,7 @@ def _arguments():
         add_help=False,
     )
     value = "a parameter and its value: a number, a word or a list such as [1,2]"
-    output = "the executed notebook, by default in build/notebooks"
+    output = "the executed .ipynb, by default in build/notebooks; its figures go beside it"
     edited = "only if its cells are not those of the output, as after a run in JupyterLab"
     parser.add_argument("notebook", metavar="NOTEBOOK", type=Path, nargs="?")
     parser.add_argument(

@@ -209,7 +209,7 @@ def _says_rhe(numbers):
         f"As printed, the mean of {row['n']} drives is {row['mean']:.4f} m "
         f"({_signed_percent(off)}); the paper's one drive has {row['paper']:.4f} m, {within} the "
         f"{row['p5']:.4f} to {row['p95']:.4f} m of 90 % of our drives. Its violations of the "
-        f"tolerance, of which the paper has none, are {counts}."
+        f"tolerance in a drive, of which the paper has none, are {counts}."
     )
     return short, why
 
@@ -269,9 +269,9 @@ def _says_cause(numbers):
     if ekf < best:
         short = "W, more than the traction."
     why = (
-        f"With the W of least tracking error, at the same R, an EKF that knows of no slip has "
-        f"{ekf:.4f} m, and the RHE {rhe:.4f} m. By the three other rules the RHE has at best "
-        f"{best:.4f} m ({_RULES[best_rule]})."
+        f"With the W of least tracking error, with the same controller, an EKF that knows of no "
+        f"slip has {ekf:.4f} m, and the RHE {rhe:.4f} m. By the three other rules the RHE has at "
+        f"best {best:.4f} m ({_RULES[best_rule]})."
     )
     return short, why
 

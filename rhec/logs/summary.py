@@ -203,6 +203,6 @@ def _verdict(recording, traction, comparison, smoothed):
         return f"Do not trust it yet: {'; '.join(doubts)}."
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
     return (
-        "Trust it. Tracks that slip sideways all the time, as on ice, look alike without a "
-        f"heading.{heading} Next: rhec calibrate FILE --yaml robot.yaml, rhec replay FILE."
+        "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
+        f"ice.{heading} Next: rhec calibrate FILE --yaml robot.yaml, rhec replay FILE."
     )

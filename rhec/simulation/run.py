@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rhec.paper import TOLERANCE_M
 from rhec.simulation.metrics import Metrics, first_violation_s
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
@@ -64,7 +65,7 @@ class Run:
         left_s = first_violation_s(self.columns)
         if np.isnan(left_s):
             return "the robot stayed in its row"
-        return f"the robot left its row first at {left_s:.1f} s"
+        return f"the robot left its row, {TOLERANCE_M} m beside the path, first at {left_s:.1f} s"
 
     def _repr_html_(self) -> str:
         """In a notebook: the scenario, a table of the metrics, and what `plot` draws."""
