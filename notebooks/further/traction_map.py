@@ -238,9 +238,10 @@ def rule_in_words(table):
             for told, row in paid.iterrows()
         )
         rule = (
-            f"**Then estimating the traction takes off more than 10 % only where the mean κ is "
-            f"{highest:g} or less, and only against wrong constants**: {rivals}. Against the right "
-            f"constants the error is {counted.loc[str(0.0), 'ratio']:.2f} times theirs."
+            f"**Then estimating the traction takes off more than 10 %, with its whole 95 % "
+            f"interval, only where the mean κ is {highest:g} or less, and only against wrong "
+            f"constants**: {rivals}. Against the right constants the error is "
+            f"{counted.loc[str(0.0), 'ratio']:.2f} times theirs."
         )
     return (
         f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "

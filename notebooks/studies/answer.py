@@ -226,8 +226,8 @@ def _says_ekf(numbers):
     if words["printed"] == _LOST:
         short = "not as printed."
         why += (
-            " With W as printed it loses its heading here, so that the paper probably drove with "
-            "another W than it prints."
+            " With W as printed it loses its heading here: with that W we could not repeat the "
+            "paper's drive."
         )
     return short, why
 

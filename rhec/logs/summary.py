@@ -29,6 +29,11 @@ _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not deter
 _LEAST_COVERED = 0.8  # share of the causal yaw within its 95 % of the smoothed one
 _HONEST = 0.95  # share of hidden positions within their 95 %
 _BY_CHANCE = 0.05  # a share that is less likely than this is not by chance
+_EXPLAINED = """\
+hidden 2 s, 10 s: error, in the median, so long after the last position
+in 95 %: share of n hidden positions within their 95 %, which should be 0.95
+NIS: squared innovations by their variance; below 1 the assumed noise is too large
+EKF of (μ, κ): the paper's model, without a lever arm of the antenna; ICR: centres of rotation"""
 _ASKED = (
     "If you know them, give the distance of the tracks (--track-width-m), the radius of wheels "
     "whose speeds are in rad/s (--wheel-radius-m), and the factor by which the driver has already "
@@ -71,9 +76,7 @@ class Summary:
             lines += _indented(_text(self.traction))
             lines += ["", "On the way, with 10 s of positions hidden again and again:"]
             lines += _indented(_text(self.comparison.table))
-            lines += [
-                "  The EKF of (μ, κ) is the paper's model, without a lever arm of the antenna."
-            ]
+            lines += _indented(_EXPLAINED)
         return "\n".join([*lines, "", self.asked, "", self.verdict])
 
     def plot(self) -> "Figure":
@@ -204,5 +207,5 @@ def _verdict(recording, traction, comparison, smoothed):
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
-        f"ice.{heading} Next: rhec calibrate FILE --yaml robot.yaml, rhec replay FILE."
+        f"ice.{heading} Next: rhec calibrate FILE --yaml robot.yaml, rhec replay FILE --calibrated."
     )
