@@ -11,6 +11,7 @@ import pytest
 from helpers import LIVE_PAGE, needs_live_page, wait_until
 
 import rhec
+from docs.live.functions import MAX_SAMPLES
 from docs.live.page import FAULTS, SCENES
 from rhec import paper
 from rhec.core import runner
@@ -218,6 +219,11 @@ def test_an_address_holds_all_of_the_sandbox(live):
     address = page.evaluate("location.hash")
     live.open("#b").open(address)
     assert page.evaluate(state) == before
+
+
+def test_an_address_with_an_absurd_duration_drives_as_long_as_a_run_may_be(live):
+    live.open("#a?duration_s=1e7")
+    assert all(len(run["rows"]) == MAX_SAMPLES for run in live.runs())
 
 
 # The story
