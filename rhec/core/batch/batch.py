@@ -148,7 +148,7 @@ class _Batch:
         new = np.flatnonzero(self._is_new)
         if len(new):
             set_runs(self._memory, new, self._first_memory(new))
-        self._set_pieces()
+        self._set_applied()
         self._is_new[:] = False
         self._is_prepared = False
         if iterations is not None:
@@ -184,8 +184,8 @@ class _Batch:
         """
         raise NotImplementedError
 
-    def _set_pieces(self):
-        """Set what is said of the sample before and belongs to the memory."""
+    def _set_applied(self):
+        """Put into the memory what the caller says was applied before this sample: here nothing."""
 
     def _get(self, name, *shape):
         """Return a copy of a result, (n, *shape)."""
@@ -351,7 +351,8 @@ class RHCBatch(_IteratedBatch):
             refuse("y_ref was", y_ref, "it should be None, since there are no outputs")
         return given | dict(y_ref=y_ref)
 
-    def _set_pieces(self):
+    def _set_applied(self):
+        """Put the commands before this sample into the memory of each run, where they are known."""
         if self._before is None:
             return
         names = [*self._structure.memory]
