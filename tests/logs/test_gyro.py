@@ -7,8 +7,6 @@ import pytest
 from helpers import TRACK_WIDTH_M, may_be_unsure, recorded_log
 
 import rhec
-from rhec.logs import recording
-from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot import gyro_check
 
@@ -139,11 +137,6 @@ def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
     assert result["theta_hat_rad"].diff().abs().max() < 0.5
 
 
-def test_gyro_and_heading_together(without):
-    both = with_heading(log=with_gyro(bias=0.03))
-    assert yaw_rms(both) < yaw_rms(with_gyro(bias=0.03))
-
-
 @pytest.mark.parametrize(
     "log, words",
     [
@@ -163,21 +156,6 @@ def test_a_sensor_of_a_wrong_sign_axis_unit_or_zero_is_refused(log, words):
     for function in (rhec.replay, rhec.calibrate):
         with pytest.raises(ValueError, match=words):
             function(log)
-
-
-def test_the_live_estimator_agrees():
-    prepared = recording.prepare(with_heading(log=with_gyro()))
-    fields = dict(speed_model="slipping", arrival_mean="filtered")
-    sensors = dict(sensors=prepared.sensors, sigma_gyro=(0.01, 0.02), sigma_heading=0.02)
-    scenario = replay_scenario("rhe", prepared, fields | sensors)
-    samples = estimate_samples(prepared, scenario, InitialGuess((0.7,), 10.0))
-    z = samples[measured_of(prepared.sensors)].to_numpy()
-    live = rhec.RHE(**fields, **sensors, guess=(*z[0, :2], 0.7, z[0, 2], 1.0, 1.0))
-    for k in range(100):
-        live.prepare()
-        estimate = live.feedback(z[k])
-    np.testing.assert_allclose(estimate[2], samples["theta_hat_rad"].iloc[99], atol=5e-3)
-    assert estimate.covariance.shape == (12, 12)
 
 
 @pytest.mark.parametrize(

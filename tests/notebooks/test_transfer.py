@@ -22,7 +22,7 @@ def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
     rng = np.random.default_rng(0)
     for xi, (nu, omega) in zip(rng.normal(size=(5, 3)), rng.normal(size=(5, 2))):
         expected = model.dynamics(xi, [nu, omega], [mu, kappa])
-        found = rivals.f(xi, [nu, b / 2 * omega], [y, -y, 0.0, mu, mu])
+        found = rivals.f(xi, [nu, omega, 0.0, 0.0, 0.0], [y, -y, 0.0, mu, mu, b / 2])
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -30,8 +30,9 @@ def test_the_robot_turns_about_its_centres():
     """Over ground, the point x_v ahead has no side slip, and the left track's centre runs with the
     left track.
     """
-    p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8], (0.7, 0.2)
-    ahead, side, turning = np.array(rivals.f([0.0, 0.0, 0.0], [nu, delta], p)).ravel()
+    p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8, 0.25], (0.7, 0.2)
+    v = [nu, delta / 0.25, 0.0, 0.0, 0.0]
+    ahead, side, turning = np.array(rivals.f([0.0, 0.0, 0.0], v, p)).ravel()
     assert side + 0.2 * turning == pytest.approx(0)
     assert ahead - 0.4 * turning == pytest.approx(0.9 * (nu - delta))
     assert ahead + 0.3 * turning == pytest.approx(0.8 * (nu + delta))
