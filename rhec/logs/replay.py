@@ -549,23 +549,35 @@ def _replay_model(log, model, estimator, delays_s, arguments):
         hats=[f"{name}_hat" for name in model.names],
         sigmas=[f"{name}_sigma" for name in model.names],
         measured=[*model.outputs],
-        means=[model.outputs[row] for row in model.input_outputs.values()],
+        means=_means_of(model),
         structure=((), *structure),
         settings=live.settings,
         timing=recording.timing,
     )
-    parts = []
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, dt_s, True, how.measured, how.means, how.timing)
-        estimates = how.scanned(memory, with_ages(part, how.measured))
-        part = pd.concat([part, estimates], axis=1)
-        part.insert(0, "segment", segment)
-        parts.append(part)
+    parts = [
+        pd.concat([part, how.scanned(memory, with_ages(part, how.measured))], axis=1)
+        for part in samples_for(model, dt_s, recording)
+    ]
     samples = pd.concat(parts, ignore_index=True)
     # The covariance is that of states and parameters.
     others = [f"{name}_sigma" for name in model.inputs]
     samples = samples.drop(columns=[*others, "deviance", "kkt_rhe"])
     return at_rows(samples.assign(ok=samples["ok"] == 1), recording, log, how)
+
+
+def samples_for(model, dt_s, recording):
+    """Samples of a Model, a DataFrame for each segment of its Recording."""
+    parts = []
+    for segment, rows in recording.rows.groupby("segment"):
+        part = resample(rows, dt_s, True, model.outputs, _means_of(model), recording.timing)
+        part.insert(0, "segment", segment)
+        parts.append(part)
+    return parts
+
+
+def _means_of(model):
+    """The outputs of a Model that measure inputs, means over an interval."""
+    return [model.outputs[row] for row in model.input_outputs.values()]
 
 
 # Rows of the log
