@@ -246,11 +246,6 @@ def test_a_process_noise_that_an_estimator_has_not_is_refused():
     )
 
 
-def test_only_a_scenario_is_simulated():
-    with pytest.raises(ValueError, match="^scenario was .*; it should be a rhec.Scenario"):
-        rhec.simulate(dict(seed=1))
-
-
 @pytest.mark.parametrize(
     "fields",
     [dict(headland_radius_m=1000.0), dict(start_offset_m=600.0), dict(start_offset_m=-1e90)],
