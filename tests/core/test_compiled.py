@@ -390,3 +390,24 @@ def test_a_function_that_is_called_often_is_not_inlined():
     _, text = compiled.library_text(dict(often=called("often", 9), rare=called("rare", 2)))
     marked = re.findall(r"/\* (\w+):.*\nstatic __attribute__\(\(noinline\)\) int", text)
     assert marked == ["often_inner"]
+
+
+def test_what_does_not_load_is_removed(tmp_path, monkeypatch):
+    """A compiler may write nonsense and end with 0; once it is mended, all is built anew."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "other"))
+
+    def build_with(text):
+        return lambda folder: (folder / "library").write_text(text)
+
+    def load(folder):
+        text = (folder / "library").read_text()
+        if text == "nonsense":
+            raise RuntimeError("it does not load")
+        return text
+
+    with pytest.raises(cache.UnusableError):
+        cache.load_or_build("name", build_with("nonsense"), load)
+    assert cache.load_or_build("name", build_with("good"), load) == "good"
+    assert (tmp_path / "cache/name").is_dir()
+    assert not (tmp_path / "other").exists() or not list((tmp_path / "other").glob("*/name"))
