@@ -210,7 +210,11 @@ def test_ok_is_false_where_a_step_was_not_solved():
     assert np.isfinite(run.log.filter(like="hat")).all(axis=None)
 
 
-CASES = {name: case for cases in fault_study.CASES.values() for name, case in cases.items()}
+CASES = {
+    f"{family}, {name}": case
+    for family, cases in fault_study.CASES.items()
+    for name, case in cases.items()
+}
 
 
 @pytest.mark.nightly(keep=1)
