@@ -1,7 +1,7 @@
 """A long campaign through a storm: workers are killed all the time, the campaign itself once, and
-once the disk is full. 20,000 runs, of whose workers one is killed every twelve seconds, tell as much
-as 100,000 with one a minute. The workers are loky's or, with --cluster, those of a Dask cluster on
-this machine.
+once the disk is full. 20,000 runs with a worker killed every twelve seconds tell as much as 100,000
+with one a minute. The workers are loky's or, with --cluster, those of a Dask cluster on this
+machine.
 
 Each time the command ends it is given again, as a person would. At the end there must be one row
 a run, none lost, twice or with an error, and some are run again here: the same to the last bit.

@@ -149,10 +149,6 @@ def test_objects_show_what_they_are():
 @pytest.mark.parametrize(
     "call, sentence",
     [
-        (lambda: rhec.Scenario(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
-        (lambda: rhec.Scenario(q=()), "q was (); it should have 3 entries"),
-        (lambda: rhec.Scenario(q=(1,) * 4), "q was (1, 1, 1, 1); it should have 3 entries"),
-        (lambda: rhec.Scenario(q=(1, 1, -1)), "q[2] was -1; it should be at least 0"),
         (lambda: rhec.Fault(), "kind was not given; Fault needs it"),
         (lambda: rhec.EKF(model=MODEL), "dt was not given; EKF needs it"),
         (lambda: rhec.EKF(sigma=1), "EKF has no parameter 'sigma'; did you mean 'sigma_"),
