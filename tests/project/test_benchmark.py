@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from benchmark import acados_peer, instructions, peers, problems, step
 
 pytestmark = pytest.mark.nightly
