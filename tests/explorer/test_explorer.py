@@ -438,6 +438,7 @@ print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
 def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
     """Nor does either import Matplotlib."""
     environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
+    environment.pop("RHEC_UNATTENDED", None)
     views = [
         subprocess.run(
             [sys.executable, "-c", FIRST_VIEW],
