@@ -21,8 +21,6 @@ from typing import Annotated, get_type_hints
 
 from rhec.style import replacing
 
-__all__ = ["ROWS", "ParameterError", "main", "parameters", "real", "run", "whole"]
-
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))

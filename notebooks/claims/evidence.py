@@ -15,8 +15,6 @@ import pandas as pd
 from notebooks.claims import experiments, run_sets
 from notebooks.studies.statistics import CONFIDENCE, EARLY_CONFIDENCE, UNDECIDED
 
-__all__ = ["collect", "driven_tables_of", "findings_of", "make", "tables_of"]
-
 _SETS = {"runs": run_sets.RUNS, "logs": run_sets.LOGS}
 
 

@@ -39,24 +39,6 @@ from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 
-__all__ = [
-    "EXACT",
-    "OF_NOISE",
-    "build_with_given_arrival",
-    "gains",
-    "kkt_tolerances",
-    "certainty_equivalence",
-    "convexity",
-    "live",
-    "lowest_traction",
-    "make",
-    "models",
-    "reached_s",
-    "run_with_given_arrival",
-    "steps_in_time",
-]
-
-
 # The arrival cost
 
 

@@ -21,8 +21,6 @@ from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, LOST, UNTESTABL
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-__all__ = ["LIKELIHOOD", "CLAIMS", "Claim", "Condition", "Rule", "load"]
-
 LIKELIHOOD = "W by likelihood"
 _FILE = Path(__file__).with_name("claims.toml")
 _CONDITIONS = {"printed": AS_PRINTED, "likelihood": LIKELIHOOD}  # of each process noise

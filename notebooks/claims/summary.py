@@ -18,23 +18,6 @@ from notebooks.studies.statistics import (
 from notebooks.studies.tables import interval_text, interval_texts
 from rhec.style import ROOT
 
-__all__ = [
-    "DEPARTURE",
-    "FIELDS",
-    "PRINTED",
-    "class_of",
-    "depending",
-    "failing",
-    "in_worlds",
-    "left_aligned",
-    "listed",
-    "lost",
-    "readable_ledger",
-    "report_lines",
-    "survivors",
-    "verdict_counts",
-]
-
 PRINTED = f"{HOLDS} only {AS_PRINTED}"
 DEPARTURE = f"{HOLDS} only with a departure"
 FIELDS = 40  # of one claim alone, as in the first look of the ledger

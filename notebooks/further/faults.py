@@ -19,24 +19,6 @@ from rhec.simulation.faults import Fault
 from rhec.simulation.metrics import settled_samples
 from rhec.simulation.simulate import simulate
 
-__all__ = [
-    "AFTER_S",
-    "BEFORE_S",
-    "CASES",
-    "FAMILIES",
-    "HARD",
-    "FaultStudy",
-    "cases_of",
-    "fault_table",
-    "interval_s",
-    "readable_fault_table",
-    "response",
-    "rhe_and_ekf",
-    "scenario",
-    "study",
-    "verdict_counts",
-]
-
 # How long before and after a fault the errors are recorded.
 BEFORE_S = 10.0
 AFTER_S = 60.0

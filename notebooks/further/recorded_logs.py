@@ -12,8 +12,6 @@ import pandas as pd
 from notebooks.further.recorded import scores
 from notebooks.studies.statistics import over_seeds
 
-__all__ = ["AUGMENTED", "estimators", "of_the_log", "replay_table", "trials", "write_scores"]
-
 AUGMENTED = "augmented EKF"
 
 _QUANTITIES = dict(

@@ -19,20 +19,6 @@ from notebooks.studies.statistics import UNDECIDED, over_seeds, ratio_of_means
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 
-__all__ = [
-    "COSTS",
-    "ERROR",
-    "LOOPS",
-    "PAPERS",
-    "PAYS",
-    "RATIO",
-    "VIOLATIONS",
-    "WORTH",
-    "drive",
-    "scenarios",
-    "worth_table",
-]
-
 PAPERS = "RHE, as printed"
 _RHE = "RHE"
 _BOUNDED = "bounded EKF"

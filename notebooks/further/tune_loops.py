@@ -30,8 +30,6 @@ from rhec.simulation.closed_loop import build_sample, set_up
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
-__all__ = ["BOUNDS", "EVALUATIONS", "LOOPS", "TRAINING_SEEDS", "fields_of", "scenarios", "tune"]
-
 EVALUATIONS = 40  # for each unknown
 TRAINING_SEEDS = range(1000, 1024)
 _SEED = 0  # of the Sobol sequence

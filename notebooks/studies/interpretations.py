@@ -24,22 +24,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
-__all__ = [
-    "ENTRIES",
-    "INTERPRETATIONS",
-    "QUANTITIES",
-    "ekf_on_a_straight",
-    "likelihood_profile",
-    "likelihood_profiles",
-    "one_at_a_time",
-    "readable_changes",
-    "rhe_sigma_kappa",
-    "sigma_kappa_table",
-    "sweep_of",
-    "swept",
-]
-
-
 # Where W holds the standard deviation of each state; x and y share one.
 _PLACES = {"x": (0, 1), "theta": (2,), "nu": (3,), "mu": (4,), "kappa": (5,)}
 _KAPPA = 0.8  # of a soil on which the tracks slip

@@ -16,38 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-__all__ = [
-    "AS_PRINTED",
-    "CONFIDENCE",
-    "EARLY_CONFIDENCE",
-    "FAILS",
-    "HOLDS",
-    "LOST",
-    "UNDECIDED",
-    "UNTESTABLE",
-    "Finding",
-    "Interval",
-    "always",
-    "always_relative_to_oracle",
-    "relative_to_oracle",
-    "combined",
-    "combined_possible",
-    "coverage",
-    "difference",
-    "difference_of_means",
-    "equal",
-    "mean",
-    "over_seeds",
-    "possible",
-    "ratio",
-    "ratio_of_means",
-    "reported",
-    "root_of_mean",
-    "share",
-    "share_interval",
-    "verdict",
-]
-
 HOLDS = "holds"
 FAILS = "does not hold"
 UNDECIDED = "undecided"

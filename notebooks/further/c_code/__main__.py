@@ -7,8 +7,6 @@ from notebooks.further.c_code import report
 from rhec.embedded import export
 from rhec.simulation.scenario import Scenario
 
-__all__ = ["main"]
-
 
 def main():
     """Export the default scenario, measure the export, and fail if its answers differ."""

@@ -19,8 +19,6 @@ import pandas as pd
 
 from notebooks.studies.timing import PHASES
 
-__all__ = ["CLOCK_HZ", "counts", "table", "trace"]
-
 # The C functions of the phases, in the order of PHASES, and the functions that call them.
 _CALLS = "rhec_prepare_estimate", "rhec_estimate", "rhec_prepare_control", "rhec_control"
 _CALLERS = "main", "sample"

@@ -16,8 +16,6 @@ from notebooks.studies.timing import PHASES
 from rhec import paper
 from rhec.simulation.columns import MEASUREMENTS
 
-__all__ = ["TOLERANCE", "against_the_paper", "measure", "reported"]
-
 _PI = "Raspberry Pi 3"
 TOLERANCE = 1e-9  # [m, rad, m/s, 1, rad/s] how far the answers of C may be from Python's
 
