@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Annotated, get_type_hints
 
+from notebooks import captions
 from rhec.style import replacing
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -174,10 +175,23 @@ def run(notebook, values, output):
                 "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
             ],
         )
+    _describe_pictures(executed)
     with replacing(output) as unfinished:
         nbformat.write(executed, unfinished)
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
+
+
+def _describe_pictures(notebook):
+    """Give the pictures of an executed notebook the captions above them as alternative texts.
+
+    A cell that shows several describes each of them itself.
+    """
+    for cell, caption in captions.with_captions(notebook):
+        for output in cell.outputs:
+            if "image/png" in output.get("data", {}):
+                picture = output.metadata.setdefault("image/png", {})
+                picture.setdefault("alt", captions.alternative_text(caption))
 
 
 @contextlib.contextmanager
