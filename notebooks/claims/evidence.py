@@ -53,14 +53,6 @@ def make(tables, seeds, folder=None):
     return evidence | {(noise, "experiments", name): made[noise, name] for noise, name in made}
 
 
-def findings_of(claims, evidence, confidence):
-    """{id: {condition: Finding}} of claims at one confidence."""
-    return {
-        id_: {name: judge(evidence, confidence) for name, judge in claim.rule.by_condition.items()}
-        for id_, claim in claims.items()
-    }
-
-
 def collect(claims, fields, folder=None):
     """Make the evidence in several looks, and judge by it.
 

@@ -5,7 +5,6 @@ verdicts by the rule.
 import dataclasses
 import re
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +13,6 @@ from text_boxes import text_defects
 
 import rhec
 from notebooks.plots import scenarios
-from notebooks.plots.parts import frequencies
 from notebooks.plots.scenarios import stated
 from notebooks.plots.timing import phases
 from notebooks.studies import timing
@@ -204,17 +202,6 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
     assert f"measured {settled.std():.3f}" in words(drawn["speed"])
     assert len(beside.patches) == 3
-
-
-def test_frequencies_are_shares_of_all_values():
-    """Of 8 values, two lie beyond the limits and count at the ends."""
-    values = np.array([[-1.0, 0.1, 0.1, 0.1], [0.9, 0.9, 0.6, 2.0]])
-    figure, (plain, relative) = plt.subplots(1, 2)
-    frequencies(plain, values, (0.0, 1.0), "k", bins=2)
-    frequencies(relative, values, (0.0, 1.0), "k", bins=4, relative=True)
-    plt.close(figure)
-    np.testing.assert_allclose(plain.patches[0].get_data().values, [50, 50])
-    np.testing.assert_allclose(relative.patches[0].get_data().values, [1, 0, 0.25, 0.75])
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):
