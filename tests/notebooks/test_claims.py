@@ -11,6 +11,7 @@ import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
 from notebooks.studies import statistics
+from notebooks.studies.answer import RESULTS
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
 from rhec.simulation.campaigns.map import map_runs
@@ -486,7 +487,7 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys):
     command.main([])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [*ledger.CLAIMS]
-    verdicts = pd.read_csv(summary._LEDGER).set_index("id")["verdict"]
+    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, ledger.CLAIMS.items()):
         assert claim.claim in line and line.endswith(f"  {verdicts[id_]}")
 
