@@ -290,9 +290,6 @@ def main():
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started_s
-    scores = output.with_name("scores.txt")
-    if "log" in values and scores.exists():
-        print(scores.read_text(encoding="utf-8"), end="")
     print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
 
 
@@ -343,14 +340,7 @@ def _has_cells_of(notebook, output):
 
 
 def _output(notebook, values):
-    """Where the executed notebook goes: for a user's log, beside its pictures."""
-    if isinstance(values.get("log"), str):
-        # Importing it takes a second.
-        from notebooks.further.recorded_logs_plots import replay_folder
-
-        folder = replay_folder(ROOT / values["log"])
-        if folder.is_relative_to(ROOT / "build"):
-            return folder / notebook.name
+    """Where the executed notebook goes."""
     stem = f"{notebook.stem}-custom" if values else notebook.stem
     # Those of notebooks/further/ go into a folder of the same name, as the Makefile's rule says.
     ours = ROOT / "notebooks"

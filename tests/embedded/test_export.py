@@ -19,7 +19,7 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS
 
 import rhec
-from notebooks.further.c_code import instructions, toolchain
+from notebooks.further.c_code import toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
@@ -552,34 +552,6 @@ def test_memory_and_stack_are_below_256_kib(exported, built):
     sizes = toolchain.sizes(machine, objects)
     assert memory + np.nan_to_num(sizes["stack_bytes"]) < 256 * 1024
     assert 0 < sizes["code_bytes"] < 1024 * 1024
-
-
-@pytest.mark.nightly
-def test_instruction_counts_are_reproducible(exported, built, tmp_path):
-    machine, objects = built("paper", "Arm")
-    if not machine.emulator:
-        pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
-    program, samples = toolchain.program(machine, exported("paper"), "replay", objects), 6
-    (tmp_path / "log.csv").write_text(
-        "".join(
-            (exported("paper") / "log.csv").read_text().splitlines(keepends=True)[: samples + 1]
-        )
-    )
-    first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
-    np.testing.assert_array_equal(instructions.counts(first), instructions.counts(again))
-    assert (
-        instructions.counts(first).shape == (samples, 4) and instructions.counts(first).min() > 500
-    )
-    table = instructions.table(first, 50_000)
-    assert (table["worst_instructions"] >= table["mean_instructions"]).all()
-    if shutil.which("llvm-mca"):
-        np.testing.assert_allclose(
-            table[["mean_ms", "worst_ms"]].iloc[-1], table[["mean_ms", "worst_ms"]].iloc[:-1].sum()
-        )
-        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ  # two a cycle
-        assert (table["mean_ms"] > at_best_ms).all() and (
-            table["worst_ms"] > table["mean_ms"]
-        ).all()
 
 
 # The folder

@@ -115,7 +115,6 @@ def drawn(runs, drives, by_weight, sweep_a, sweep_b):
         "trajectories_q": scenarios.trajectories_q(
             {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}, table_a
         ),
-        "weight_sweep": scenarios.weight_sweep(table_a, "likelihood"),
         "slip_fields": scenarios.slip_fields(
             pair["RHE"].terrain, pair["RHE"].path, "slip fields, seed 0"
         ),
@@ -306,4 +305,3 @@ def test_runs_that_never_settle_are_counted(sweep_a):
         table.loc[("Q1", "settling time [s]"), "n"] == 0
         and table.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
     )
-    assert "settled: 0 with" in words(scenarios.weight_sweep(scenario_a_table(never), "likelihood"))
