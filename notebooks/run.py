@@ -9,7 +9,6 @@ import ast
 import contextlib
 import difflib
 import json
-import keyword
 import logging
 import os
 import reprlib
@@ -258,9 +257,6 @@ def main():
     if args.help:
         print(_help_of(notebook, parser))
         return
-    for name, _ in args.p:
-        if not name.isidentifier() or keyword.iskeyword(name):
-            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
     values = {name: _value(text) for name, text in args.p}
     output = args.output or _output(notebook, values)
     if output.suffix != ".ipynb":

@@ -106,7 +106,7 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     "given, sentence",
     [
         ("rhec 1", "rhec was 1, but there is no such parameter; did you mean seed?"),
-        ("class 1", "NAME was 'class'; it must be a name as in Python, such as seed"),
+        ("class 1", "class was 1, but there is no such parameter; did you mean seed?"),
     ],
 )
 def test_the_runner_refuses_what_the_notebook_itself_uses(
