@@ -112,11 +112,6 @@ _WITH_ORACLE = ("start", "patch")
 _SHOWN = {"max_after_m": "largest true error afterwards [m]", "recovery_s": "time to recover [s]"}
 
 
-def cases_of(family):
-    """(family, case) of all cases of a family."""
-    return [(family, case) for case in CASES[family]]
-
-
 def scenario(case, begin_s, base):
     """The scenario of a case of CASES whose fault begins at begin_s, added to the Scenario base."""
     fields = {name: value for name, value in case.items() if name not in ("fault", "patch")}

@@ -249,7 +249,7 @@ def _scenarios(baseline, seeds, interpretations):
     return scenarios
 
 
-def one_at_a_time(baseline, seeds):
+def one_at_a_time(baseline, seeds, folder=None):
     """How much each interpretation moves the RHE's results from the baseline's, paired by seed.
 
     R1 and R2 are the other W, for one estimator at a time.
@@ -257,6 +257,7 @@ def one_at_a_time(baseline, seeds):
     Args:
         baseline: Its process noise, "printed" or "likelihood".
         seeds: How many fields, from seed 0 on.
+        folder: Where the campaign keeps its rows.
 
     Returns:
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
@@ -268,7 +269,7 @@ def one_at_a_time(baseline, seeds):
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
         "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | INTERPRETATIONS
-    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations))
+    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations), folder)
     results = {}
     for name in interpretations:
         rhe = runs[name, "rhe"]
