@@ -206,10 +206,11 @@ def _check_rates(recording):
 
 
 def _silence_s(rows, column):
-    """Time since the last number of a column [s], without pauses of the recording."""
+    """Time since the last number of a column before each row [s], without pauses."""
     step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0).fillna(0.0)
-    since = rows[column].notna().groupby(rows["segment"]).cumsum()
-    return step_s.where(rows[column].isna(), 0.0).groupby([rows["segment"], since]).cumsum()
+    is_there = rows[column].notna()
+    n_before = is_there.cumsum() - is_there
+    return step_s.groupby([rows["segment"], n_before]).cumsum()
 
 
 # Motion
