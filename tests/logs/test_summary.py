@@ -46,6 +46,7 @@ def test_only_the_rhe_is_right_about_an_antenna_off_the_centre():
 
 def test_a_good_log_is_to_be_trusted_and_says_what_is_next(summary):
     assert summary.verdict.startswith("Trust it.") and "rhec calibrate" in summary.verdict
+    assert "position_sigma_m: at most 0.03, the least that is assumed" in str(summary)
     assert summary.taken["positions"] == "x_m, y_m"
     assert summary.taken["encoders"] == "speed_mps, yaw_rate_radps"
     assert "x_true_m" in summary.taken["truth, unseen"]
