@@ -45,10 +45,10 @@ from rhec.tracked_robot.slipping import LEVER_ARM
 # were chosen with it.
 _HUBER_SHRINKS = 0.8459
 # A filter assumes independent errors. Errors of recorded positions are correlated, which a replay
-# compensates by a standard deviation that is larger by this factor. So are slip and the constant
-# error of a gyro, which count where a gyro or a heading makes the yaw that accurate.
+# compensates by a standard deviation that is larger by this factor. So are slip and the errors of a
+# gyro, which count where a gyro or a heading makes the yaw that accurate. There all standard
+# deviations are larger by it, so that the gains remain those of the maximum of the likelihood.
 _CORRELATED = 1.75
-_CORRELATED_WITH_SENSORS = dict(position=2.5, slip=2.5, sensor=2.0)
 # First guess and standard deviations before the first sample, by name. What is not named is 0, and
 # a last input, which is unknown.
 _FIRST = dict(mu=1.0, kappa=1.0) | sensors.GYRO_GUESS
@@ -346,20 +346,18 @@ def _calibration(fit, robot):
 
 def _widened(fields, names):
     """The fields with larger standard deviations of errors that are correlated."""
-    factor = _CORRELATED_WITH_SENSORS if names else dict(position=_CORRELATED)
-    sigma_x, sigma_y, *encoders = fields["sigma_v"]
-    wider = dict(sigma_v=(factor["position"] * sigma_x, factor["position"] * sigma_y, *encoders))
-    if names:
-        slip = dict(zip(tuning.SLIP, fields["slip"]))
-        for name in ("share_omega", "share_side"):
-            slip[name] *= factor["slip"]
-        wider["slip"] = tuple(slip.values())
-    if "gyro" in names:
-        sigma, share = fields["sigma_gyro"]
-        wider["sigma_gyro"] = (factor["sensor"] * sigma, share)
+
+    def wider(values):
+        return tuple(_CORRELATED * value for value in values)
+
+    if not names:
+        return fields | dict(sigma_v=(*wider(fields["sigma_v"][:2]), *fields["sigma_v"][2:]))
+    # The last constant of the slip is that of a mean.
+    result = {name: wider(values) for name, values in fields.items() if name != "sigma_heading"}
+    result["slip"] = (*result["slip"][:-1], fields["slip"][-1])
     if "heading" in names:
-        wider["sigma_heading"] = factor["sensor"] * fields["sigma_heading"]
-    return fields | wider
+        result["sigma_heading"] = _CORRELATED * fields["sigma_heading"]
+    return result
 
 
 def _refuse_straight(recording):

@@ -53,6 +53,14 @@ def test_the_error_ahead_is_that_of_driving_on_with_the_estimate(wrong):
     assert error == pytest.approx(2 * 2 * np.sin(wrong / 2), abs=1e-9)
 
 
+@pytest.mark.parametrize("angle_rad", [0.0, 0.04, -0.04])
+def test_the_angle_of_a_reference_is_that_between_its_yaw_and_the_way(angle_rad):
+    """On a straight, forwards and backwards; side slip in turns does not count."""
+    log = recorded_log(5.0, 120.0)
+    turned = log.assign(yaw_true_rad=log["yaw_true_rad"] - angle_rad)
+    assert scores.mounting_angle_rad(turned) == pytest.approx(angle_rad, abs=2e-3)
+
+
 def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
     log = recorded_log(noise_m=0.0).assign(speed_mps=lambda log: 3.6 * log["speed_mps"])
     with pytest.raises(ValueError, match="km/h"):
