@@ -145,7 +145,7 @@ def test_what_exists_is_kept(capsys, tmp_path, make, words):
 def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path, monkeypatch):
     """As if the disk were full in the middle of it."""
     recorded = tmp_path / "recorded.csv"
-    recorded_log(duration_s=12.0, noise_m=0.02).to_csv(recorded, index=False)
+    recorded_log(duration_s=30.0, noise_m=0.02).to_csv(recorded, index=False)
     run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
     replay = ["replay", str(log_file), "--estimator", "ekf", "--folder", "estimates"]
     calibrate = ["calibrate", str(recorded), "--yaml", "robot.yaml"]
