@@ -89,7 +89,7 @@ lock: ## pin what pyproject.toml names in environment.txt; UPGRADE=1 renews all 
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' \
 	  --output-file environment.txt pyproject.toml
 
-# Results that took long stay: build/campaign, build/replay and figures/explored.
+# Results that took long stay: build/campaign and figures/explored.
 clean: ## remove the executed notebooks, their figures and tables, and the report
 	@test ! -e build/made || grep -vxF "$$(git ls-files figures 2>/dev/null)" build/made | tr '\n' '\0' | xargs -0 rm -f
 	@rm -rf build/made build/notebooks build/report

@@ -21,7 +21,7 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS
 
 import rhec
-from notebooks.further.c_code import instructions, toolchain
+from notebooks.further.c_code import toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience
@@ -364,26 +364,6 @@ def test_memory_and_stack_are_below_256_kib(exported, built):
     sizes = toolchain.sizes(machine, objects)
     assert memory + np.nan_to_num(sizes["stack_bytes"]) < 256 * 1024
     assert 0 < sizes["code_bytes"] < 1024 * 1024
-
-
-@pytest.mark.nightly
-def test_instruction_counts_are_reproducible(exported, built, tmp_path):
-    machine, objects = built("paper", "Arm")
-    if not machine.emulator:
-        pytest.skip("this machine is a 64-bit Arm itself, so nothing is emulated")
-    program, samples = toolchain.program(machine, exported("paper"), "replay", objects), 6
-    log_of(exported("paper"))[:samples].to_csv(tmp_path / "log.csv", index=False)
-    first, again = (instructions.trace(machine, program, tmp_path / "log.csv") for _ in range(2))
-    counts = instructions.counts(first)
-    np.testing.assert_array_equal(counts, instructions.counts(again))
-    assert counts.shape == (samples, 4) and counts.min() > 500
-    table = instructions.table(first, 50_000)
-    assert (table["worst_instructions"] >= table["mean_instructions"]).all()
-    if shutil.which("llvm-mca"):
-        ms = table[["mean_ms", "worst_ms"]]
-        np.testing.assert_allclose(ms.iloc[-1], ms.iloc[:-1].sum())
-        at_best_ms = 1e3 * table["mean_instructions"] / 2 / instructions.CLOCK_HZ  # two a cycle
-        assert (ms["mean_ms"] > at_best_ms).all() and (ms["worst_ms"] > ms["mean_ms"]).all()
 
 
 # The folder

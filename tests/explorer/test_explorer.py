@@ -368,13 +368,6 @@ def test_runs_and_figure_are_saved(made, tmp_path):
     assert files == {stem.with_suffix(".pdf"), stem.with_suffix(".png")}
 
 
-def test_without_widgets_the_picture_and_the_table_stand_for_them(made, monkeypatch):
-    monkeypatch.setenv("RHEC_UNATTENDED", "1")
-    bundle = made._repr_mimebundle_()
-    assert 'src="data:image/png;base64,' in bundle["text/html"]
-    assert made.screen.table in bundle["text/html"]
-
-
 # Counts what a new user waits for: loops whose C is made, calls of the compiler, modules.
 FIRST_VIEW = """
 import json, sys
@@ -405,7 +398,7 @@ print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
 @pytest.mark.nightly
 @pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
-    """Nor does either import Matplotlib, or draw the picture for pages without widgets."""
+    """Nor does either import Matplotlib."""
     environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
     environment.pop("RHEC_UNATTENDED", None)
     command = [sys.executable, "-c", FIRST_VIEW]
