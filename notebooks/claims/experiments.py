@@ -458,7 +458,7 @@ def _tasks(process_noise, name, seeds):
     if name == "search":
         return [partial(lowest_traction, process_noise)]
     if name == "arrival_cost":
-        n = max(2, seeds * 32 // 1000)
+        n = max(2, seeds * 64 // 1000)
         parts = [range(n)[first : first + _RUNS_AT_ONCE] for first in range(0, n, _RUNS_AT_ONCE)]
         return [partial(_arrival_costs, process_noise, part) for part in parts]
     return [partial(_iterations, process_noise, seed) for seed in range(max(2, seeds // 100))]
