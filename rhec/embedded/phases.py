@@ -177,7 +177,7 @@ def export_model(rhe=None, rhc=None):
         n_x = len(model.states)
         settings |= rhc.settings
         start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s)
-        control = rhc.build()
+        control = build_controller(rhc.structure)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
