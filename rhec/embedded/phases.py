@@ -98,7 +98,7 @@ def export(scenario):
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
-    follow = _build_follow(references["references"], reports_accepted, n_z)
+    follow = _build_follow(references, reports_accepted, n_z)
     path_phases = dict(closest=closest(n_segments), follow=follow)
 
     def first_estimate(estimate):

@@ -175,7 +175,7 @@ def in_python(scenario, measurements):
     settings, limits = setup.settings, SPEED_MODELS["parameter"].model.limits
     estimate_step = build_step(choice)
     horizon = horizon_of(scenario.prediction_horizon)
-    references = build_references(paper.DT_S, horizon.N, len(setup.path.segments))["references"]
+    references = build_references(paper.DT_S, horizon.N, len(setup.path.segments))
     control = rhc.build_phases(horizon)["step"]
     guess = dict(zip(QUANTITIES, setup.guess))
     estimator = pack_array(estimator_of(choice.estimator).init(choice, guess))
