@@ -11,9 +11,9 @@ import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
 from notebooks.studies import statistics
+from notebooks.studies.parallel import map_runs, parallel_map
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
-from rhec.simulation.campaigns.map import map_runs, parallel_map
 from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
