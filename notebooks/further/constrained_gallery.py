@@ -11,8 +11,6 @@ from notebooks.further.gallery import ControlProblem
 from rhec.core.controller.bounds import Bound
 from rhec.core.model.base import Model
 
-__all__ = ["cstr", "double_integrator", "lotka_volterra", "obstacle", "race_car"]
-
 
 def obstacle(discrete=True):
     """A unicycle that drives around an obstacle, after Mehrez (N = 14), by Euler's rule as there.

@@ -16,24 +16,6 @@ from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.core.model.base import Model
 
-__all__ = [
-    "ControlProblem",
-    "Drive",
-    "EstimationProblem",
-    "Record",
-    "drive",
-    "estimate",
-    "furuta",
-    "kalman_filter",
-    "mass_on_a_spring",
-    "masses",
-    "pendulum",
-    "range_bearing",
-    "table_of_controllers",
-    "table_of_estimators",
-    "unicycle",
-]
-
 
 class ControlProblem(NamedTuple):
     """A system to be steered from `start` to `goal`."""

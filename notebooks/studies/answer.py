@@ -18,18 +18,6 @@ from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, UNTESTAB
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
-__all__ = [
-    "LEDGER",
-    "RESULTS",
-    "bar",
-    "in_short",
-    "in_words",
-    "paper_beside_ours",
-    "scenario_a_in_words",
-    "scenario_b_in_words",
-    "to_markdown",
-]
-
 RESULTS = Path(__file__).resolve().parents[2] / "data/results"
 _RULES = {  # {process_noise: the rule that picks W}
     "printed": "as printed",
