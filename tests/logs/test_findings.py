@@ -240,6 +240,7 @@ HEALTHY = {
     "in UTM": LOG.assign(x_m=X + 5e5, y_m=Y + 5e6),
     "with a gyro": gyro(bias=0.02),
     "with a heading": heading(),
+    "late, then early": pd.concat([late(0.5)[:750], late(-0.6)[750:]]),  # by no one delay
     "in rows of their own": in_rows_of_their_own(0.05),
     "one row late": late(0.1),
     "a wrapped truth": LOG.assign(yaw_true_rad=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),
