@@ -7,8 +7,6 @@ from typing import NamedTuple
 import nbformat
 from papermill.translators import PythonTranslator
 
-__all__ = ["Parameter", "as_text", "parameters_of"]
-
 _WORDS = {
     "bool": "True or False",
     "dict": "dict",

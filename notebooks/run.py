@@ -8,8 +8,8 @@ import argparse
 import ast
 import contextlib
 import difflib
+import html
 import json
-import keyword
 import logging
 import os
 import reprlib
@@ -19,9 +19,8 @@ import time
 from pathlib import Path
 from typing import Annotated, get_type_hints
 
+from notebooks import captions
 from rhec.style import replacing
-
-__all__ = ["ROWS", "ParameterError", "main", "parameters", "real", "run", "whole"]
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
@@ -176,10 +175,29 @@ def run(notebook, values, output):
                 "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
             ],
         )
+    _describe_pictures(executed)
     with replacing(output) as unfinished:
         nbformat.write(executed, unfinished)
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
+
+
+def _describe_pictures(notebook):
+    """Give the pictures of an executed notebook the captions above them as alternative texts.
+
+    A cell that shows several may describe each of them itself.
+    """
+    for cell, caption in captions.with_captions(notebook):
+        for output in cell.outputs:
+            png = output.get("data", {}).get("image/png")
+            if png:
+                picture = output.metadata.setdefault("image/png", {})
+                alt = picture.setdefault("alt", captions.alternative_text(caption))
+                # JupyterLab and nbconvert show no `alt` of a PNG; both prefer HTML to it.
+                output.data["text/html"] = (
+                    f'<img alt="{html.escape(alt)}" style="max-width: 100%" '
+                    f'src="data:image/png;base64,{"".join(png.split())}">'
+                )
 
 
 @contextlib.contextmanager
@@ -246,9 +264,6 @@ def main():
     if args.help:
         print(_help_of(notebook, parser))
         return
-    for name, _ in args.p:
-        if not name.isidentifier() or keyword.iskeyword(name):
-            parser.exit(2, f"NAME was {name!r}; it must be a name as in Python, such as seed\n")
     values = {name: _value(text) for name, text in args.p}
     output = args.output or _output(notebook, values)
     if output.suffix != ".ipynb":
@@ -278,9 +293,6 @@ def main():
             parser.exit(2, f"{error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started_s
-    scores = output.with_name("scores.txt")
-    if "log" in values and scores.exists():
-        print(scores.read_text(encoding="utf-8"), end="")
     print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")
 
 
@@ -331,14 +343,7 @@ def _has_cells_of(notebook, output):
 
 
 def _output(notebook, values):
-    """Where the executed notebook goes: for a user's log, beside its pictures."""
-    if isinstance(values.get("log"), str):
-        # Importing it takes a second.
-        from notebooks.further.recorded_logs_plots import replay_folder
-
-        folder = replay_folder(ROOT / values["log"])
-        if folder.is_relative_to(ROOT / "build"):
-            return folder / notebook.name
+    """Where the executed notebook goes."""
     stem = f"{notebook.stem}-custom" if values else notebook.stem
     # Those of notebooks/further/ go into a folder of the same name, as the Makefile's rule says.
     ours = ROOT / "notebooks"

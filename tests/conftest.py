@@ -30,17 +30,7 @@ LONGEST = (
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--thorough",
-        action="store_true",
-        help="also run what is marked `nightly`, and all of what is sampled otherwise",
-    )
-
-
-@pytest.fixture(scope="session")
-def thorough(request):
-    """Whether all of what is sampled otherwise is tested."""
-    return request.config.getoption("--thorough")
+    parser.addoption("--thorough", action="store_true", help="also run what is marked `nightly`")
 
 
 def pytest_configure():
@@ -93,7 +83,7 @@ def unoptimised_processes():
 @pytest.fixture(scope="module")
 def virtual_machine():
     """The module's tests need no compiled code: what they build is used for moments only.
-    `test_closed_loop` shows that both agree.
+    `tests/agreement` shows that both agree.
     """
     with no_compiler():
         yield
@@ -103,4 +93,5 @@ def virtual_machine():
 def run():
     """One minute of the paper's loop in a simple world, calibrated."""
     scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
-    return rhec.simulate(scenario)
+    with no_compiler():
+        return rhec.simulate(scenario)

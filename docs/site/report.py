@@ -29,6 +29,7 @@ from sphinx.application import Sphinx
 from docs.live import page, wasm
 from docs.site import cards
 from docs.site.content_policy import with_policy
+from notebooks.captions import alternative_text, with_captions, without_links
 from notebooks.claims.rules import CLAIMS
 from notebooks.parameter_table import parameters_of
 from notebooks.plots.claims import kind_of
@@ -146,7 +147,7 @@ def _link_cards(readme):
 def _copy_saved(notebook, figures, folder):
     """Copy the files that the cells of a notebook saved; {figure: caption}."""
     captions = {}
-    for cell, caption in _with_captions(notebook):
+    for cell, caption in with_captions(notebook):
         for name in _SAVED.findall(cell.source):
             for file in figures.glob(f"{name}.*"):
                 shutil.copy(file, folder)
@@ -167,10 +168,13 @@ def _prepare(notebook):
     """Describe the pictures of a notebook, fold its code, and replace its widgets."""
     notebook.metadata.pop("widgets", None)  # their state, which needs a kernel
     folded = notebook.metadata.get("rhec", {}).get("code") != "open"
-    for cell, caption in _with_captions(notebook):
+    for cell, caption in with_captions(notebook):
         cell.outputs = [_without_widget(output) for output in cell.outputs]
+        for output in cell.outputs:
+            if "image/png" in output.get("data", {}):
+                output.data.pop("text/html", None)  # the same picture for other readers
         cell.metadata["mystnb"] = dict(
-            image=dict(alt=_plain(caption)[:250], width=f"{_WIDTH_PX}px")
+            image=dict(alt=alternative_text(caption), width=f"{_WIDTH_PX}px")
         )
         if folded:
             cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
@@ -178,11 +182,11 @@ def _prepare(notebook):
 
 def _show_saved(notebook, folder, root):
     """Show a figure that its cell saved from the file, so that the site has it once."""
-    for cell, caption in _with_captions(notebook):
+    for cell, caption in with_captions(notebook):
         saved = [name for name in _SAVED.findall(cell.source) if (folder / f"{name}.png").exists()]
         drawn = [output for output in cell.outputs if "image/png" in output.get("data", {})]
         if len(saved) == len(drawn) == 1:
-            alt = re.sub(r"[\[\]]", "", _plain(caption)[:250])
+            alt = re.sub(r"[\[\]]", "", alternative_text(caption))
             image = f"![{alt}]({root}figures/{saved[0]}.png)"
             drawn[0].data = {"text/markdown": image}
 
@@ -198,33 +202,9 @@ def _link_claims(notebook, root):
                 data["text/html"] = re.sub(is_id, link, data["text/html"])
 
 
-def _with_captions(notebook):
-    """The cells of code, each with the caption above it.
-
-    That is the last paragraph that begins with "Figure", else the last one.
-    """
-    caption = ""
-    for cell in notebook.cells:
-        if cell.cell_type == "code":
-            yield cell, caption
-        else:
-            prose = re.sub(r"(?m)^#.*$", "", cell.source).strip()
-            paragraphs = prose.split("\n\n")
-            figures = [each for each in paragraphs if each.startswith("**Figure")]
-            caption = (figures or paragraphs)[-1]
-
-
 def _without_widget(output):
     is_widget = _WIDGET in output.get("data", {})
     return new_output("display_data", {"text/markdown": _NO_SLIDERS}) if is_widget else output
-
-
-def _plain(text):
-    return " ".join(re.sub(r"[*#`$\\]", "", _without_links(text)).split())
-
-
-def _without_links(text):
-    return re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
 
 
 # ---------------------------------------------------------------- pages
@@ -265,8 +245,8 @@ def _figure(file, place, caption):
     name = file.stem
     return (
         f":::{{figure}} figures/{name}.png\n:name: {name}\n:loading: lazy\n{wide}"
-        f":target: {place.with_suffix('.html')}\n:alt: {_plain(caption)[:250] or name}\n\n"
-        f"{_without_links(caption) or name}\n\n{_download(name, 'pdf')}\n:::"
+        f":target: {place.with_suffix('.html')}\n:alt: {alternative_text(caption) or name}\n\n"
+        f"{without_links(caption) or name}\n\n{_download(name, 'pdf')}\n:::"
     )
 
 
@@ -322,15 +302,12 @@ def _provenance_page(stories, figures):
     ]
     runs = pd.DataFrame([_run_of(place, notebook) for place, notebook in stories.items()])
     licences = ", ".join(f"{{download}}`{name} <licences/{name}.txt>`" for name in SHOWN)
-    packages = pd.DataFrame(_packages(), columns=["package", "version"])
     return "\n\n".join(
         [
             "# Provenance",
             answer.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
             "## Notebooks",
             answer.to_markdown(runs),
-            "## Packages",
-            answer.to_markdown(packages),
             f"These pages hold scripts and styles of other projects; their licences: {licences}.",
         ]
     )
@@ -361,14 +338,6 @@ def licence(package):
     files = importlib.metadata.files(package)
     (file,) = [each for each in files if re.search(r"/LICEN[CS]E\b[^/]*$", str(each))]
     return file.read_text(encoding="utf-8")
-
-
-def _packages():
-    """Names and versions of the packages here that environment.txt pins."""
-    pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
-    pinned = set(re.findall(r"(?m)^([A-Za-z0-9._-]+)==", pins))
-    installed = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
-    return sorted((name, installed[name]) for name in pinned & installed.keys())
 
 
 def _main():

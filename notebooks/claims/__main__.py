@@ -7,7 +7,67 @@ import argparse
 import os
 import sys
 
-from notebooks.claims import summary
+import pandas as pd
+
+from notebooks.claims import evidence
+from notebooks.claims.rules import CLAIMS
+from notebooks.studies.answer import RESULTS
+from notebooks.studies.statistics import CONFIDENCE
+from notebooks.studies.tables import interval_text
+
+_FIELDS = 40  # as in the first look of the ledger
+
+
+def _listed():
+    """One line for each claim: id, sentence, and the verdict of the ledger."""
+    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
+    width = max(len(claim.claim) for claim in CLAIMS.values())
+    return [f"{id_:4}{claim.claim:{width}}  {verdicts[id_]}" for id_, claim in CLAIMS.items()]
+
+
+def _report_lines(id_, fields):
+    """Judge one claim on a few fields and say what came out.
+
+    Args:
+        id_: Of the claim, for example "I2".
+        fields: How many fields, from seed 0 on.
+
+    Returns:
+        Lines of text: sentence, section and quote, test, verdict, then one line for each condition.
+
+    Raises:
+        ValueError: If there is no such claim, or fewer than 2 fields.
+    """
+    if id_ not in CLAIMS:
+        raise ValueError(f"claim was {id_!r}; it should be one of {', '.join(CLAIMS)}")
+    if fields < 2:
+        raise ValueError(f"fields was {fields}; it should be 2 or more")
+    claim = CLAIMS[id_]
+    _, findings, beside, _ = evidence.collect({id_: claim}, [fields])
+    verdict, _ = claim.rule.combined(findings[id_])
+    derived = ", by derivation" if claim.derived else ""
+    lines = [
+        f"{id_}: {claim.claim}",
+        f"  {claim.section}: “{claim.quote}”",
+        f"  test: {claim.test}",
+        f"  verdict: {verdict}{derived}",
+    ]
+    lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
+    lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
+    lines += [f"  why: {claim.why}"] if claim.why else []
+    if evidence.driven_tables_of(claim.rule.by_condition.values()):
+        lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
+        lines.append("  The ledger (06_claims) has more fields, and other worlds.")
+    return lines
+
+
+def _line(name, found, unit=""):
+    """A condition, its number with its interval, n and verdict."""
+    number = interval_text(found.value, found.low, found.high)
+    unit = "" if unit in ("", "-") else f" {unit}"
+    numbers = f"{number}{unit}, n = {found.n}: " if number else ""
+    judged = found.verdict if not name.startswith("beside") else ""
+    return f"    {name or 'in all cases'}: {numbers}{judged}".rstrip(": ")
 
 
 def main(arguments=None):
@@ -22,14 +82,14 @@ def main(arguments=None):
     parser = argparse.ArgumentParser("python -m notebooks.claims", description=__doc__)
     text = "of the claim, for example I2; without it, all claims are listed"
     parser.add_argument("id", nargs="?", default="", help=text)
-    text = f"simulated fields, at least 2 (default: {summary.FIELDS})"
-    parser.add_argument("--fields", type=int, default=summary.FIELDS, help=text)
+    text = f"simulated fields, at least 2 (default: {_FIELDS})"
+    parser.add_argument("--fields", type=int, default=_FIELDS, help=text)
     given = parser.parse_args(arguments)
     if not given.id:
-        print("\n".join(summary.listed()))
+        print("\n".join(_listed()))
         return
     try:
-        for line in summary.report_lines(given.id, given.fields):
+        for line in _report_lines(given.id, given.fields):
             print(line, flush=True)
     except ValueError as error:
         parser.exit(2, f"{error}\n")

@@ -15,8 +15,6 @@ import pandas as pd
 from notebooks.claims import experiments, run_sets
 from notebooks.studies.statistics import CONFIDENCE, EARLY_CONFIDENCE, UNDECIDED
 
-__all__ = ["collect", "driven_tables_of", "findings_of", "make", "tables_of"]
-
 _SETS = {"runs": run_sets.RUNS, "logs": run_sets.LOGS}
 
 
@@ -53,14 +51,6 @@ def make(tables, seeds, folder=None):
     named = {(noise, name) for noise, kind, name in tables if kind == "experiments"}
     made = experiments.make(sorted(named), len(seeds))
     return evidence | {(noise, "experiments", name): made[noise, name] for noise, name in made}
-
-
-def findings_of(claims, evidence, confidence):
-    """{id: {condition: Finding}} of claims at one confidence."""
-    return {
-        id_: {name: judge(evidence, confidence) for name, judge in claim.rule.by_condition.items()}
-        for id_, claim in claims.items()
-    }
 
 
 def collect(claims, fields, folder=None):

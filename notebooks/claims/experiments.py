@@ -39,24 +39,6 @@ from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 
-__all__ = [
-    "EXACT",
-    "OF_NOISE",
-    "build_with_given_arrival",
-    "gains",
-    "kkt_tolerances",
-    "certainty_equivalence",
-    "convexity",
-    "live",
-    "lowest_traction",
-    "make",
-    "models",
-    "reached_s",
-    "run_with_given_arrival",
-    "steps_in_time",
-]
-
-
 # The arrival cost
 
 
@@ -479,7 +461,7 @@ def _tasks(process_noise, name, seeds):
         n = max(2, seeds * 64 // 1000)
         parts = [range(n)[first : first + _RUNS_AT_ONCE] for first in range(0, n, _RUNS_AT_ONCE)]
         return [partial(_arrival_costs, process_noise, part) for part in parts]
-    return [partial(_iterations, process_noise, seed) for seed in range(max(2, seeds // 50))]
+    return [partial(_iterations, process_noise, seed) for seed in range(max(2, seeds // 100))]
 
 
 def make(tables, seeds):

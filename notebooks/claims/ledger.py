@@ -18,8 +18,6 @@ from notebooks.claims.rules import CLAIMS
 from notebooks.studies.statistics import UNDECIDED, coverage, difference_of_means, ratio_of_means
 from notebooks.studies.tables import interval_text
 
-__all__ = ["CLAIMS", "coverages", "ledger"]
-
 _PAIRS = ("rhe", "ekf"), ("rhe", "no_slip"), ("fixed_traction", "rhe"), ("q3", "q2")
 _COLUMNS = (
     "id section claim quote test bound paper value low high n unit verdict derived condition "

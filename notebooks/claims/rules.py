@@ -15,13 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from notebooks.claims import experiments, run_sets
 from notebooks.studies import statistics, timing
 from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, LOST, UNTESTABLE, Finding
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
-
-__all__ = ["LIKELIHOOD", "CLAIMS", "Claim", "Condition", "Rule", "load"]
 
 LIKELIHOOD = "W by likelihood"
 _FILE = Path(__file__).with_name("claims.toml")
@@ -166,11 +163,6 @@ _EXACT_RULES = {  # name: {condition: Condition}
 # Rules on tables
 
 
-def _share_twice(one, other, **bounds):
-    """The share of pairs where one is more than twice the other."""
-    return statistics.share(one > 2 * other, **bounds)
-
-
 _RULES = {
     "always": statistics.always,
     "always_relative_to_oracle": statistics.always_relative_to_oracle,
@@ -181,23 +173,16 @@ _RULES = {
     "relative_to_oracle": statistics.relative_to_oracle,
     "reported": statistics.reported,
     "share": statistics.share,
-    "share_twice": _share_twice,
+    "share_twice": statistics.share_twice,
 }
 _EVERY_CASE = "every case"
 _BOUNDS = dict(always=_EVERY_CASE, always_relative_to_oracle=_EVERY_CASE)
 _BOUNDS |= dict(possible="one case", reported="usual")
 _PAPERS = {"always": "all", "possible": "may"}
 _KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
-_IDS = {
-    "runs": run_sets.RUNS,
-    "logs": run_sets.LOGS,
-    "experiment": experiments.OF_NOISE,
-    "property": experiments.EXACT,
-}
-_REQUIRED = {"sentence", "quote", "rule"}
-_OPTIONAL = {"test", "of", "departures", "paper", "other_worlds", "why", "derived", "beside"}
-_OPTIONAL |= {"rival"}
-_OPTIONAL |= {*_KINDS}
+_ENTRIES = {"sentence", "quote", "test", "rule", "of", "departures", "paper", "other_worlds", "why"}
+_ENTRIES |= {"derived", "beside", "rival", *_KINDS}
+_OF_RULES = {"name", "above", "below", "unit"}
 
 
 def _judge(evidence, confidence, rule, bounds, tables, expressions):
@@ -316,47 +301,11 @@ def _beside(entry, expressions):
 # The file
 
 
-def _check(id_, entry, departures):
-    """Refuse an entry that cannot be judged, by a ValueError of one sentence."""
-
-    def refuse(what, should):
-        raise ValueError(f"claim {id_} {what}; it should {should}")
-
-    if missing := _REQUIRED - {*entry}:
-        refuse(f"had no {sorted(missing)[0]}", "have one")
-    if unknown := {*entry} - _REQUIRED - _OPTIONAL:
-        refuse(f"had the unknown entry {sorted(unknown)[0]}", f"have {sorted(_OPTIONAL)}")
-    name = entry["rule"].get("name")
-    if name not in _RULES and name not in _EXACT_RULES:
-        refuse(f"had the unknown rule {name!r}", f"have one of {sorted(_RULES | _EXACT_RULES)}")
-    if unknown := {*entry["rule"]} - {"name", "above", "below", "unit"}:
-        refuse(f"had {sorted(unknown)[0]} in its rule", "have name, above, below or unit")
-    if entry.get("derived") and entry.get("departures"):
-        refuse("was derived and had departures", "have one of both")
-    if unknown := {*entry.get("departures", [])} - {*departures}:
-        refuse(f"had the unknown departure {sorted(unknown)[0]}", f"have {sorted(departures)}")
-    _check_tables(entry, name, refuse)
-    if "rival" in entry and entry["rival"] not in entry.get("runs", []):
-        refuse(f"had the rival {entry['rival']!r}", f"have one of its runs {entry.get('runs')}")
-    for part in entry.get("beside", []):
-        if missing := {"what", "rule", "of"} - {*part}:
-            refuse(f"had no {sorted(missing)[0]} in what stands beside it", "have one")
-        _check_tables(part, part["rule"].get("name"), refuse)
-
-
-def _check_tables(entry, name, refuse):
-    """Refuse tables that do not fit the rule of this name, or do not exist."""
-    kinds = [kind for kind in _KINDS if kind in entry]
-    if len(kinds) != (name in _RULES) or ("of" in entry) != (name in _RULES):
-        refuse(f"had tables {kinds} for the rule {name}", "have one kind with `of`, or none")
-    for kind in kinds:
-        if unknown := {*entry[kind]} - {*_IDS[kind]}:
-            refuse(f"had unknown {kind} {sorted(unknown)[0]}", f"have {sorted(_IDS[kind])}")
-
-
 def _claim(section, entry, expressions, departures):
-    """The Claim of a checked entry."""
+    """The Claim of an entry; a ValueError names what nothing would read."""
     settings = entry["rule"]
+    if unknown := {*entry} - _ENTRIES or {*settings} - _OF_RULES:
+        raise ValueError(f"nothing is called {sorted(unknown)[0]}")
     if settings["name"] in _RULES:
         rule = _rule_on_tables(entry, expressions, departures)
     else:
@@ -384,7 +333,7 @@ def load(file=_FILE):
         {id: Claim}.
 
     Raises:
-        ValueError: If an entry is incomplete, or names what does not exist.
+        ValueError: If an entry is incomplete, or names what nothing reads.
     """
     text = tomllib.loads(Path(file).read_text(encoding="utf-8"))
     expressions = text.pop("expressions", {})
@@ -392,8 +341,10 @@ def load(file=_FILE):
     claims = {}
     for section, entries in text.items():
         for id_, entry in entries.items():
-            _check(id_, entry, departures)
-            claims[id_] = _claim(section, entry, expressions, departures)
+            try:
+                claims[id_] = _claim(section, entry, expressions, departures)
+            except (KeyError, ValueError) as error:
+                raise ValueError(f"claim {id_} could not be read: {error!r}") from None
     return claims
 
 

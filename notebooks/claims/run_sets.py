@@ -23,21 +23,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
-__all__ = [
-    "LOGS",
-    "LOOK_AHEAD_M",
-    "ON_ROW",
-    "PROCESS_NOISES",
-    "RUNS",
-    "complete",
-    "drive",
-    "fields_of",
-    "lag_s",
-    "measure",
-    "measured",
-    "scenarios",
-]
-
 PROCESS_NOISES = ("printed", "likelihood")
 LOOK_AHEAD_M = 0.5
 _SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on

@@ -25,8 +25,6 @@ from rhec import paper
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
-__all__ = ["FIRST_SEED", "by_value", "judge", "shares"]
-
 FIRST_SEED = 20_000  # beyond those of ledger, calibration and posterior
 _WHOLE_DRIVES = {"rhe", "ekf", "oracle"}  # claims on these alone are judged on a world's own drive
 

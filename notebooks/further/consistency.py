@@ -26,23 +26,6 @@ from rhec.simulation.offline import SETTLED_S
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
-__all__ = [
-    "ESTIMATORS",
-    "STATES",
-    "Consistency",
-    "bounds",
-    "consistency_table",
-    "innovations",
-    "mean_square_errors",
-    "measure",
-    "measure_all",
-    "normalised",
-    "normalised_squared",
-    "readable_consistency",
-    "share_inside",
-    "tune",
-]
-
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 ESTIMATORS = {  # fields of Scenario
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),

@@ -11,8 +11,6 @@ from notebooks.further.gallery import ControlProblem
 from rhec.core.controller.bounds import Bound
 from rhec.core.model.base import Model
 
-__all__ = ["cstr", "double_integrator", "lotka_volterra", "obstacle", "race_car"]
-
 
 def obstacle(discrete=True):
     """A unicycle that drives around an obstacle, after Mehrez (N = 14), by Euler's rule as there.
@@ -32,20 +30,6 @@ def obstacle(discrete=True):
     options = dict(model=model, command=model.inputs, bounds=bounds, outputs=outputs)
     options |= dict(q=(1.0, 5.0, 0.1), qn=(0.0,) * 3, r=(0.5, 0.05), dt=0.2, horizon=14)
     return ControlProblem(options, (0.0, 0.0, 0.0), (1.5, 1.5, 0.0), 100, 3)
-
-
-def double_integrator():
-    """The constrained double integrator of the Multi-Parametric Toolbox (N = 5)."""
-
-    def f(x, u, p):
-        return ca.vertcat(x[0] + x[1] + u, x[1] + 0.5 * u)
-
-    names = dict(states=("position", "velocity"), inputs=("acceleration",))
-    model = Model(**names, parameters={}, outputs=("position",), f=f, discrete=True)
-    bounds = dict(position=(-5.0, 5.0), velocity=(-5.0, 5.0), acceleration=(-1.0, 1.0))
-    options = dict(model=model, command=model.inputs, bounds=bounds, dt=1.0, horizon=5)
-    options |= dict(q=(1.0, 1.0), r=(1.0,), qn_factor=1.0)
-    return ControlProblem(options, (4.5, 1.4), (0.0, 0.0), 20)
 
 
 def lotka_volterra():

@@ -19,24 +19,6 @@ from rhec.simulation.faults import Fault
 from rhec.simulation.metrics import settled_samples
 from rhec.simulation.simulate import simulate
 
-__all__ = [
-    "AFTER_S",
-    "BEFORE_S",
-    "CASES",
-    "FAMILIES",
-    "HARD",
-    "FaultStudy",
-    "cases_of",
-    "fault_table",
-    "interval_s",
-    "readable_fault_table",
-    "response",
-    "rhe_and_ekf",
-    "scenario",
-    "study",
-    "verdict_counts",
-]
-
 # How long before and after a fault the errors are recorded.
 BEFORE_S = 10.0
 AFTER_S = 60.0
@@ -128,11 +110,6 @@ _ORACLE = {"oracle": {"estimator": "oracle"}}
 # No estimator can do better than the oracle in these families.
 _WITH_ORACLE = ("start", "patch")
 _SHOWN = {"max_after_m": "largest true error afterwards [m]", "recovery_s": "time to recover [s]"}
-
-
-def cases_of(family):
-    """(family, case) of all cases of a family."""
-    return [(family, case) for case in CASES[family]]
 
 
 def scenario(case, begin_s, base):

@@ -12,8 +12,6 @@ import pandas as pd
 from notebooks.further.recorded import scores
 from notebooks.studies.statistics import over_seeds
 
-__all__ = ["AUGMENTED", "estimators", "of_the_log", "replay_table", "trials", "write_scores"]
-
 AUGMENTED = "augmented EKF"
 
 _QUANTITIES = dict(
@@ -76,14 +74,3 @@ def replay_table(trials):
             interval = over_seeds(np.mean, of_seeds[column])._asdict()
             rows.append(dict(estimator=name, quantity=quantity) | interval)
     return pd.DataFrame(rows)
-
-
-def write_scores(table, folder):
-    """Write scores.txt: the RHE's means of `replay_table`."""
-    rows = table[table["estimator"] == "RHE"]
-    lines = [
-        f"{row.quantity}: {row.mean:.4g} [{row.low:.4g}, {row.high:.4g}]"
-        for row in rows.itertuples()
-    ]
-    title = f"RHE, mean and 95 % interval over {rows['n'].max()} noise seeds:"
-    (folder / "scores.txt").write_text("\n".join([title, *lines, ""]), encoding="utf-8")

@@ -4,31 +4,19 @@
 `title` is plain text. Figures leave out what a log does not contain, such as the true pose.
 """
 
-import re
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 from notebooks.further.recorded import scores
 from notebooks.plots.parts import DOTS, legend_above, log_axis, note, time_axis
 from notebooks.studies.tables import interval_text
-from rhec.style import COLOURS, DOUBLE_IN, FOLDER, GREEN, ORANGE, PURPLE, ROOT, SKY, styled
+from rhec.style import COLOURS, DOUBLE_IN, GREEN, ORANGE, PURPLE, SKY, styled
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
 _COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
 # Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.
 _STRAIGHT_RADPS = 0.05
 _SMOOTH = 11
-
-
-def replay_folder(file):
-    """The folder of a log's figures: FOLDER for the log in data/, else build/replay/NAME."""
-    file = Path(file).resolve()
-    if file.parent == ROOT / "data":
-        return FOLDER
-    name = re.sub(r"[^A-Za-z0-9]+", "_", file.stem).strip("_") or "log"
-    return ROOT / "build" / "replay" / name
 
 
 def _rows(n, height_in, sharey):

@@ -25,25 +25,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot.path import path_of
 
-__all__ = [
-    "CAUTIOUS",
-    "CONSTANT",
-    "IN_WORLDS",
-    "LEAST_SHARE",
-    "LEAST_SPEED_MPS",
-    "LOOPS",
-    "ORACLE",
-    "PROMISES",
-    "TUNED_LOOP",
-    "drive",
-    "judged",
-    "kept",
-    "lap",
-    "laps",
-    "readable_shares",
-    "scenarios",
-]
-
 # The target, set before the first drive: the whole path in so many fields, at so much speed.
 LEAST_SHARE = 0.95
 LEAST_SPEED_MPS = 0.47

@@ -22,20 +22,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import Terrain, random_for
 
-__all__ = [
-    "CONTROL",
-    "ERRORS",
-    "MEANS",
-    "NO_SLIP",
-    "VARIATIONS",
-    "Told",
-    "counts",
-    "drive",
-    "rule_in_words",
-    "soil",
-    "worth_map",
-]
-
 MEANS = (0.96, 0.9, 0.8, 0.65, 0.5)  # of κ
 VARIATIONS = (0.1, 0.33, 0.6)  # deviation of κ by its mean slip, 1 - κ
 ERRORS = (-0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.35)  # of the constant κ that a robot is told

@@ -7,37 +7,20 @@ of the true errors with it and without it, at equal seeds. Other soils have a ma
 (`notebooks.further.traction_map`).
 """
 
-import dataclasses
 import itertools
 
 import numpy as np
 import pandas as pd
 
-from notebooks.further.rivals import pure_pursuit
 from notebooks.further.rivals.tuned_loops import TUNED
 from notebooks.studies.statistics import UNDECIDED, over_seeds, ratio_of_means
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 
-__all__ = [
-    "COSTS",
-    "ERROR",
-    "LOOPS",
-    "PAPERS",
-    "PAYS",
-    "RATIO",
-    "VIOLATIONS",
-    "WORTH",
-    "drive",
-    "scenarios",
-    "worth_table",
-]
-
 PAPERS = "RHE, as printed"
 _RHE = "RHE"
 _BOUNDED = "bounded EKF"
 _DRIFT = "yaw-drift EKF"
-_PURSUIT = "bounded EKF, pure pursuit"
 _TOLD = "traction oracle"  # knows (μ, κ), and estimates its pose
 _FULL = "full oracle"  # knows its pose, too
 LOOPS = {
@@ -48,7 +31,6 @@ LOOPS = {
     _BOUNDED: TUNED["bounded_ekf"],
     "EKF, traction two constants": TUNED["fixed_traction"],
     _DRIFT: TUNED["yaw_drift_ekf"],
-    _PURSUIT: TUNED["pure_pursuit"],
     _TOLD: TUNED["traction_oracle"],
     _FULL: TUNED["oracle"],
 }
@@ -59,7 +41,6 @@ WORTH = [
     ("estimating the traction: RHE", _RHE, "RHE, traction two constants"),
     ("a window", _RHE, _BOUNDED),
     ("yaw drift as a state: EKF", _DRIFT, _BOUNDED),
-    ("pure pursuit in place of the RHC", _PURSUIT, _BOUNDED),
     ("knowing the traction", _TOLD, _BOUNDED),
 ]
 PAYS = "pays"
@@ -72,11 +53,7 @@ _MEANS = {ERROR: "mean_error_true_m", VIOLATIONS: "violations_true"}
 
 def scenarios(loop, seeds):
     """The Scenarios of a loop, one a seed."""
-    every = [Scenario(**LOOPS[loop], seed=seed) for seed in seeds]
-    if loop != _PURSUIT:
-        return every
-    controller = pure_pursuit.controller(every[0])
-    return [dataclasses.replace(each, controller=controller) for each in every]
+    return [Scenario(**LOOPS[loop], seed=seed) for seed in seeds]
 
 
 def drive(loops, seeds, folder=None):

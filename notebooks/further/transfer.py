@@ -34,8 +34,6 @@ from rhec.logs.replay import predictor
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
 from rhec.tracked_robot import slipping
 
-__all__ = ["table", "trials", "trials_with_gyro"]
-
 _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it

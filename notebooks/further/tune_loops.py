@@ -16,24 +16,16 @@ prints the fields of Scenario of each loop, with their mean true error [m] (half
 
 import contextlib
 import sys
-from dataclasses import replace
 
 import numpy as np
 from scipy import optimize
 from scipy.stats import qmc
 
-from notebooks.further.rivals import pure_pursuit
+from notebooks.studies.calibration import tracking_error_m
 from rhec import paper
-from rhec.core.lanes import lanes
-from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.closed_loop import build_sample, set_up
-from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
-__all__ = ["BOUNDS", "EVALUATIONS", "LOOPS", "TRAINING_SEEDS", "fields_of", "scenarios", "tune"]
-
 EVALUATIONS = 40  # for each unknown
-TRAINING_SEEDS = range(1000, 1024)
 _SEED = 0  # of the Sobol sequence
 _SHARE_SOBOL = 1 / 3
 _SIMPLEX = 0.7  # size of the first simplex, in logarithms: a factor of two
@@ -42,7 +34,7 @@ _PLACES = dict(xy=(0, 1), theta=(2,), nu=(3,), mu=(4,), kappa=(5,), drift=(6,)) 
 # its inputs, by sigma_omega.
 BOUNDS = dict.fromkeys(_PLACES, (1e-3, 10.0))
 BOUNDS |= dict(drift=(1e-5, 0.1), r=(1e-3, 30.0), q_theta=(1e-2, 10.0))
-BOUNDS |= dict(look_ahead_m=(0.2, 5.0), sigma_omega=(5e-3, 0.5))
+BOUNDS |= dict(sigma_omega=(5e-3, 0.5))
 _POSE = ("xy", "theta", "nu")
 _RHC = ("r", "q_theta")
 _SOIL = ("mu", "kappa")
@@ -56,7 +48,6 @@ LOOPS = {  # {loop: (fields of Scenario that it keeps, its unknowns)}
         _RHC + _POSE + ("sigma_omega",),
     ),
     "yaw_drift_ekf": (dict(estimator="yaw_drift_ekf"), _RHC + _POSE + _SOIL + ("drift",)),
-    "pure_pursuit": (dict(estimator="bounded_ekf"), ("look_ahead_m",) + _POSE + _SOIL),
     "traction_oracle": (dict(estimator="traction_oracle"), _RHC + _POSE),
     "oracle": (dict(estimator="oracle"), _RHC),
 }
@@ -67,28 +58,12 @@ def fields_of(loop, values):
     kept, unknowns = LOOPS[loop]
     by_name = dict(zip(unknowns, values))
     sigma_w = [by_name[name] for name, places in _PLACES.items() if name in by_name for _ in places]
-    fields = kept | (dict(sigma_w=tuple(sigma_w)) if sigma_w else {})
-    if "q_theta" in by_name:
-        fields |= dict(q=(*paper.Q3[:2], by_name["q_theta"]))
+    fields = kept | dict(r=by_name["r"], q=(*paper.Q3[:2], by_name["q_theta"]))
+    if sigma_w:
+        fields |= dict(sigma_w=tuple(sigma_w))
     if "sigma_omega" in by_name:
         fields |= dict(sigma_v=(*paper.SIGMA_V[:3], by_name["sigma_omega"]))
-    return fields | {name: by_name[name] for name in ("r", "look_ahead_m") if name in by_name}
-
-
-def scenarios(loop, fields):
-    """The Scenarios of a loop with these fields on the training seeds."""
-    scenario = Scenario(**fields)
-    if loop == "pure_pursuit":
-        scenario = replace(scenario, controller=pure_pursuit.controller(scenario))
-    return [replace(scenario, seed=seed) for seed in TRAINING_SEEDS]
-
-
-def _error_m(loop, fields):
-    """Mean true error [m] over the training seeds; infinite where a run has none."""
-    drives = scenarios(loop, fields)
-    # One structure is driven hundreds of times, which pays for compiling its lanes.
-    lanes.load(build_sample, *set_up(drives[0]).structure)
-    return campaign(drives, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
+    return fields
 
 
 def _first_points(loop):
@@ -109,10 +84,10 @@ class _Exhausted(Exception):
     """All evaluations are used up."""
 
 
-def tune(loop, error_m=_error_m, evaluations=EVALUATIONS):
+def tune(loop, error_m=tracking_error_m, evaluations=EVALUATIONS):
     """The fields of Scenario with which a loop tracks best, and their error [m].
 
-    error_m(loop, fields) is what is made least. The fields' numbers have three digits.
+    error_m(**fields) is what is made least. The fields' numbers have three digits.
     """
     _, unknowns = LOOPS[loop]
     bounds = np.log([BOUNDS[name] for name in unknowns])
@@ -128,7 +103,7 @@ def tune(loop, error_m=_error_m, evaluations=EVALUATIONS):
         if key not in tried:
             if len(tried) == budget:
                 raise _Exhausted
-            tried[key] = error_m(loop, at(key))
+            tried[key] = error_m(**at(key))
         return tried[key]
 
     for point in _first_points(loop):

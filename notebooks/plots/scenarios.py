@@ -160,31 +160,6 @@ def _order(runs, table):
 
 
 @styled
-def weight_sweep(table, process_noise):
-    """Draw settling time and overshoot over fields for each yaw weight of Figure 6.
-
-    Args:
-        table: Table of `notebooks.studies.scenario_tables.scenario_a_table`.
-        process_noise: Name of the process noise of the drives.
-    """
-    figure, panels = parts.panels_beside(2, 1.5)
-    in_mm = table["quantity"] == "overshoot [m]"
-    numbers = ["mean", "low", "high", "p5", "p95"]
-    table = table.assign(quantity=table["quantity"].replace("overshoot [m]", "overshoot [mm]"))
-    table.loc[in_mm, numbers] *= 1000
-    for axes, quantity in zip(panels, ("settling time [s]", "overshoot [mm]")):
-        rows = table[table["quantity"] == quantity]
-        for place, row in enumerate(rows.itertuples()):
-            parts.interval_row(axes, place, row, _LINES[row.weight]["color"])
-        parts.rows_axis(axes, [_LINES[name]["label"] for name in rows["weight"]], quantity)
-    settled = table.loc[table["quantity"] == "settling time [s]", ["n", "weight"]].to_numpy()
-    counts = ", ".join(f"{n} with {_LINES[name]['label']}" for n, name in settled)
-    panels[0].set_title(f"{parts.noise_text(process_noise)}, {table['n'].max()} fields")
-    figure.supxlabel(f"{_DOT_AND_LINES}\nsettled: {counts}", fontsize=7)
-    return figure
-
-
-@styled
 def slip_fields(terrain, path, title):
     """Draw the slip fields μ and κ [-] as maps with the path.
 

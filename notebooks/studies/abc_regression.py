@@ -18,8 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, logit
 
-__all__ = ["Draws", "Simulations", "coverage", "posterior", "ranks", "resample"]
-
 _EDGE = 1e-6  # a parameter at the very end of its range would have an infinite logit
 
 

@@ -35,24 +35,6 @@ from rhec.simulation.offline import run_estimator
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 
-__all__ = [
-    "EVALUATIONS",
-    "LEAST",
-    "MOST",
-    "OF_ERRORS",
-    "SOFT_SOIL",
-    "TRAINING_SEEDS",
-    "UNKNOWNS",
-    "calibrate",
-    "deviance",
-    "evolve",
-    "of_errors",
-    "oracle_runs",
-    "search",
-    "tracking_error_m",
-    "tune_for_tracking",
-]
-
 TRAINING_SEEDS = range(1000, 1010)
 _TRACKING_SEEDS = range(1000, 1024)
 # Bounds on a standard deviation per sample; less than 1 mm, 1 mrad or 1 mm/s has no effect.

@@ -24,22 +24,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
-__all__ = [
-    "ENTRIES",
-    "INTERPRETATIONS",
-    "QUANTITIES",
-    "ekf_on_a_straight",
-    "likelihood_profile",
-    "likelihood_profiles",
-    "one_at_a_time",
-    "readable_changes",
-    "rhe_sigma_kappa",
-    "sigma_kappa_table",
-    "sweep_of",
-    "swept",
-]
-
-
 # Where W holds the standard deviation of each state; x and y share one.
 _PLACES = {"x": (0, 1), "theta": (2,), "nu": (3,), "mu": (4,), "kappa": (5,)}
 _KAPPA = 0.8  # of a soil on which the tracks slip
@@ -265,7 +249,7 @@ def _scenarios(baseline, seeds, interpretations):
     return scenarios
 
 
-def one_at_a_time(baseline, seeds):
+def one_at_a_time(baseline, seeds, folder=None):
     """How much each interpretation moves the RHE's results from the baseline's, paired by seed.
 
     R1 and R2 are the other W, for one estimator at a time.
@@ -273,6 +257,7 @@ def one_at_a_time(baseline, seeds):
     Args:
         baseline: Its process noise, "printed" or "likelihood".
         seeds: How many fields, from seed 0 on.
+        folder: Where the campaign keeps its rows.
 
     Returns:
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
@@ -284,7 +269,7 @@ def one_at_a_time(baseline, seeds):
         "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
         "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | INTERPRETATIONS
-    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations))
+    runs = run_sets.drive(_scenarios(baseline, seeds, interpretations), folder)
     results = {}
     for name in interpretations:
         rhe = runs[name, "rhe"]

@@ -16,18 +16,6 @@ import scipy.sparse.linalg
 
 from rhec import Bound
 
-__all__ = [
-    "EXACT",
-    "NEAR",
-    "Plan",
-    "PlanProblem",
-    "Solver",
-    "Window",
-    "WindowProblem",
-    "next_state",
-    "reads_inputs",
-]
-
 
 class Solver(NamedTuple):
     """A solver that CasADi has an interface to."""

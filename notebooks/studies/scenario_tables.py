@@ -22,21 +22,6 @@ from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 
-__all__ = [
-    "PROCESS_NOISES",
-    "REPORTED",
-    "by_rule",
-    "over_fields",
-    "rhe_and_ekf",
-    "scenario_a",
-    "scenario_a_table",
-    "scenario_b",
-    "scenario_b_table",
-    "share_of_fields",
-    "single_runs",
-    "yaw_weights",
-]
-
 # W by each rule, the same for RHE and EKF; whole runs are kept of the first two.
 PROCESS_NOISES = ("printed", "likelihood", "consistent", "tracking")
 _PICTURED = PROCESS_NOISES[:2]

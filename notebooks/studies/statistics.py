@@ -16,38 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-__all__ = [
-    "AS_PRINTED",
-    "CONFIDENCE",
-    "EARLY_CONFIDENCE",
-    "FAILS",
-    "HOLDS",
-    "LOST",
-    "UNDECIDED",
-    "UNTESTABLE",
-    "Finding",
-    "Interval",
-    "always",
-    "always_relative_to_oracle",
-    "relative_to_oracle",
-    "combined",
-    "combined_possible",
-    "coverage",
-    "difference",
-    "difference_of_means",
-    "equal",
-    "mean",
-    "over_seeds",
-    "possible",
-    "ratio",
-    "ratio_of_means",
-    "reported",
-    "root_of_mean",
-    "share",
-    "share_interval",
-    "verdict",
-]
-
 HOLDS = "holds"
 FAILS = "does not hold"
 UNDECIDED = "undecided"
@@ -286,28 +254,28 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     The interval is that of `share_interval`. p is twice the smaller tail of the binomial
     distribution at the nearer bound.
     """
+    from scipy import stats  # it takes half a second to load, and most studies need no share
+
     flags = np.asarray(flags, dtype=bool)
     n = len(flags)
-    value = np.nan
-    low = np.nan
-    high = np.nan
-    ends = np.nan, np.nan
+    if not n:
+        return Finding(np.nan, np.nan, np.nan, 0, UNDECIDED, above, below)
+    k = int(flags.sum())
+    value = k / n
+    low, high = share_interval(k, n)
+    outcome = verdict(*share_interval(k, n, confidence), above, below)
+    bound = above if abs(value - above) <= abs(value - below) else below
     p = np.nan
-    if n:
-        from scipy import stats  # it takes half a second to load, and most studies need no share
+    if 0 < bound < 1:
+        tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
+        p = min(1.0, 2 * float(min(tails)))
+    return Finding(value, float(low), float(high), n, outcome, above, below, p)
 
-        value = flags.mean()
-        k = int(flags.sum())
-        low, high = share_interval(k, n)
-        ends = low, high
-        if confidence != CONFIDENCE:
-            ends = share_interval(k, n, confidence)
-        bound = above if abs(value - above) <= abs(value - below) else below
-        if 0 < bound < 1:
-            tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
-            p = min(1.0, 2 * min(tails))
-    outcome = verdict(*ends, above, below)
-    return Finding(float(value), float(low), float(high), n, outcome, above, below, float(p))
+
+def share_twice(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge the share of pairs in which one is more than twice the other."""
+    one, other = _checked(one, other)
+    return share(one > 2 * other, above, below, confidence)
 
 
 def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):

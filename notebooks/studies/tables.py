@@ -6,8 +6,6 @@ its interval. What a notebook shows has them in one cell: "34.6 [32.3, 37.0]".
 
 import pandas as pd
 
-__all__ = ["interval_text", "interval_texts", "readable", "signed", "three_digits"]
-
 
 def three_digits(value):
     """A number with three significant digits, large ones to the unit; nothing for a missing one."""

@@ -23,18 +23,6 @@ from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.references import PathTracker
 
-__all__ = [
-    "CONTROLLERS",
-    "PHASES",
-    "as_in_the_paper",
-    "by_solver",
-    "feedback_over_preparation",
-    "machine",
-    "phases",
-    "table",
-    "whole_step",
-]
-
 # The RHC by the solver of its QP: condensed, as in the paper, and by stages.
 CONTROLLERS = {
     "qpoases": partial(rhec.RHC, qp=condensed.Condensed("qpoases")),

@@ -379,15 +379,9 @@ def _write(packed, file):
     packed.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
-def _read(file):
-    # Opened by Python, so that make learns that a notebook depends on it.
-    with file.open("rb") as stream:
-        return pd.read_parquet(stream)
-
-
 def prior_drives():
     """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return _unpacked(_indexed(_read(PRIOR_DRIVES)))
+    return _unpacked(_indexed(pd.read_parquet(PRIOR_DRIVES)))
 
 
 def posterior_drives():
@@ -396,7 +390,7 @@ def posterior_drives():
     Returns:
         As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
     """
-    drives = _unpacked(_indexed(_read(POSTERIOR_DRIVES)))
+    drives = _unpacked(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
     rows = DRAWS * FIELDS
     return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
 
@@ -749,7 +743,7 @@ def repeated(worlds):
         DataFrame, one row a world: how many numbers were compared, how many differ, and by how many
         of their steps at most.
     """
-    stored = _read(PRIOR_DRIVES)
+    stored = pd.read_parquet(PRIOR_DRIVES)
     unit = sample_unit(len(stored) // FIELDS)
     rows = []
     for world in worlds:
@@ -788,7 +782,7 @@ def drive_prior(n, folder):
             _write(packed, unfinished)
             unfinished.replace(file)
             print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
-        blocks.append(_read(file))
+        blocks.append(pd.read_parquet(file))
     return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])
 
 

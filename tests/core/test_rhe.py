@@ -57,12 +57,12 @@ def feed(rhe, z, **iterations):
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model):
-    """On 110 random full windows each; at least 30 % of them with a traction coefficient at its
+    """On 60 random full windows each; at least 30 % of them with a traction coefficient at its
     bound.
     """
     rng, keep, bounded = np.random.default_rng(0), places(speed_model), 0
     phases = build_phases(speed_model)
-    for _ in range(110):
+    for _ in range(60):
         z, m, P = rhe_instance(rng, speed_model)
         memory, answer, tolerances = iterate(
             phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12
@@ -74,7 +74,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model)
         )
         assert tolerances[-1] < 1e-9 < tolerances[0]
         bounded += np.any(flat(answer["estimate"])[4:] == 1)
-    assert 33 <= bounded <= 100
+    assert 18 <= bounded <= 55
 
 
 def test_without_a_guess_it_begins_at_the_first_reading():
@@ -295,31 +295,3 @@ def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_a
     for estimate in feed(rhe, z):
         assert np.all(np.isfinite(estimate[:6])) and np.all(np.isfinite(estimate.covariance))
         assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1
-
-
-# What one can get wrong
-
-
-@pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((1, 4)), 0.0])
-def test_a_wrong_shape_is_named(z):
-    rhe = rhec.RHE()
-    rhe.prepare()
-    with pytest.raises(ValueError, match="^z had "):
-        rhe.feedback(z)
-
-
-@pytest.mark.parametrize(
-    "bad, name",
-    [
-        (dict(horizon=0), "horizon"),
-        (dict(sigma_w=(1, 1)), "sigma_w"),
-        (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"),
-        (dict(speed_model="none"), "speed_model"),
-        (dict(arrival_mean=0), "arrival_mean"),
-        (dict(guess=(0, 0, 0)), r"guess(\[3\])?"),
-        (dict(guess=(np.nan,) * 6), r"guess\[0\]"),
-    ],
-)
-def test_a_bad_argument_is_named_in_one_sentence(bad, name):
-    with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
-        rhec.RHE(**bad)

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 import rhec
-from notebooks.further.recorded_logs import write_scores
 from rhec.logs.outputs import write_estimates, write_traction
 
 
@@ -75,12 +74,3 @@ def test_a_log_in_metres_has_no_geojson(tmp_path):
     with pytest.raises(ValueError, match="^estimates had no origin; .* latitude and longitude"):
         write_traction(labels_of(), tmp_path / "traction.geojson")
     assert not (tmp_path / "traction.geojson").exists()
-
-
-def test_a_replay_leaves_its_scores(tmp_path):
-    rows = [("EKF", "yaw", 3.0, 2.0, 4.0, 5), ("RHE", "yaw [rad]", 0.5, 0.25, 0.75, 5)]
-    table = pd.DataFrame(rows, columns=["estimator", "quantity", "mean", "low", "high", "n"])
-    write_scores(table, tmp_path)
-    title, *lines = (tmp_path / "scores.txt").read_text("utf-8").splitlines()
-    assert "5 noise seeds" in title
-    assert lines == ["yaw [rad]: 0.5 [0.25, 0.75]"]

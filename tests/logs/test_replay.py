@@ -20,7 +20,6 @@ from helpers import (
 )
 
 import rhec
-from notebooks.further import recorded_logs_plots as drawings
 from notebooks.further.recorded import scores
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
@@ -524,14 +523,6 @@ def test_nothing_in_a_file_is_executed(tmp_path):
     for name in (tmp_path, tmp_path / "none.csv", "https://example.org/log.csv"):
         with pytest.raises(ValueError, match="^log was"):
             rhec.logs.read(name)
-
-
-@pytest.mark.parametrize(
-    "name", ["../../etc/passwd.csv", "..csv", "a b$(x).csv", "/", "日誌.csv", "C:\\log.csv"]
-)
-def test_figures_of_a_log_stay_in_their_folder(name):
-    folder = drawings.replay_folder(name)
-    assert folder.parent == drawings.replay_folder("x.csv").parent and folder.resolve() == folder
 
 
 # The shipped log

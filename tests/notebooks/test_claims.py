@@ -11,22 +11,24 @@ import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
 from notebooks.studies import statistics
+from notebooks.studies.answer import RESULTS
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
-from rhec.simulation.campaigns.map import map_runs, parallel_map
+from rhec.simulation.campaigns.map import map_runs
 from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
 NORMAL = RNG.normal(size=200)
 PAIRED = RNG.normal(size=200)  # what two paired samples share
 SHARES = np.arange(200)
+SHORT = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
+WEIGHTS = (1, 1, 0), (1, 1, 5)
 
 
 @pytest.mark.parametrize(
     "rule, holds, fails, undecided",
     [
         (lambda values: statistics.mean(values, above=1), 2 + NORMAL, NORMAL, 1 + NORMAL),
-        (lambda values: statistics.mean(values, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
         (lambda values: statistics.mean(values, above=-1, below=1), NORMAL, 2 + NORMAL, 1 + NORMAL),
         (
             lambda values: statistics.difference(values + 10 * PAIRED, 10 * PAIRED, below=0),
@@ -41,7 +43,12 @@ SHARES = np.arange(200)
             2 + 0.1 * NORMAL,
         ),
         (lambda flags: statistics.share(flags, above=0.5), SHARES < 150, SHARES < 50, SHARES < 100),
-        (lambda flags: statistics.share(flags, below=0.5), SHARES < 50, SHARES < 150, SHARES < 100),
+        (
+            lambda values: statistics.share_twice(values, np.ones(200), above=0.5),
+            np.full(200, 2.1),
+            np.full(200, 1.9),
+            1.5 + (SHARES < 100),
+        ),
         (statistics.always, np.ones(9, bool), np.arange(9) > 0, np.ones(0, bool)),
         (statistics.possible, np.arange(9) == 0, np.zeros(400, bool), np.zeros(100, bool)),
         (lambda values: statistics.reported(10 + values, 10.0), NORMAL, NORMAL + 5, NORMAL[:39]),
@@ -61,12 +68,11 @@ SHARES = np.arange(200)
     ],
     ids=[
         "mean above",
-        "mean below",
         "mean between",
         "difference",
         "ratio",
-        "share above",
-        "share below",
+        "share",
+        "share twice",
         "always",
         "possible",
         "reported",
@@ -99,12 +105,6 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
 
 
-def test_an_interval_of_a_share_covers_at_least_as_often():
-    rng = np.random.default_rng(1)
-    shares = [statistics.share(rng.random(60) < 0.3) for _ in range(500)]
-    assert np.mean([each.low <= 0.3 <= each.high for each in shares]) >= 0.94
-
-
 def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
     expected = stats.ttest_1samp(NORMAL, 0.1)
     found = statistics.mean(NORMAL, above=0.1)
@@ -121,34 +121,16 @@ def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
     [
         (2.1, 3.0, dict(above=2), HOLDS),
         (1.9, 3.0, dict(above=2), UNDECIDED),
-        (1.0, 1.9, dict(above=2), FAILS),
-        (-2.0, -1.0, dict(below=0), HOLDS),
-        (1.0, 2.0, dict(below=0), FAILS),
         (np.nan, np.nan, dict(below=0), UNDECIDED),
         (2.0, 3.0, dict(above=2), UNDECIDED),  # a bound that is touched is not included
         (1.0, 2.0, dict(above=2), FAILS),
         (-1.0, 0.0, dict(below=0), UNDECIDED),
         (0.0, 1.0, dict(below=0), FAILS),
         (0.0, 0.0, dict(below=0), FAILS),
-        (0.0, 1.0, dict(above=0, below=1), UNDECIDED),
     ],
 )
 def test_verdicts_follow_the_rule(low, high, bounds, verdict):
     assert statistics.verdict(low, high, **bounds) == verdict
-
-
-def test_pairs_are_compared_as_pairs():
-    """A difference far smaller than what both samples share is still seen."""
-    assert (
-        statistics.difference(100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED, above=0).verdict
-        == HOLDS
-    )
-    assert (
-        statistics.difference(
-            100 * PAIRED + 0.1 + 0.1 * NORMAL, 100 * PAIRED[::-1], above=0
-        ).verdict
-        == UNDECIDED
-    )
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
@@ -174,10 +156,6 @@ def test_a_ratio_to_almost_nothing_is_undecided_without_a_warning():
     assert found.verdict == UNDECIDED and found.n == 5
 
 
-def finding(verdict):
-    return Finding(1.0, 0.0, 2.0, 9, verdict)
-
-
 @pytest.mark.parametrize(
     "printed, calibrated, expected",
     [
@@ -186,17 +164,15 @@ def finding(verdict):
         (HOLDS, UNDECIDED, ("holds as printed", "as printed")),
         (FAILS, HOLDS, ("holds only with W by likelihood", "W by likelihood")),
         (UNDECIDED, HOLDS, ("holds with W by likelihood", "W by likelihood")),
-        (FAILS, FAILS, (FAILS, "as printed")),
         (FAILS, UNDECIDED, (UNDECIDED, "W by likelihood")),
     ],
 )
 def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
-    assert (
-        statistics.combined(
-            {"as printed": finding(printed), "W by likelihood": finding(calibrated)}
-        )
-        == expected
-    )
+    """What may happen (M7) needs one condition alone."""
+    verdicts = {"as printed": printed, "W by likelihood": calibrated}
+    found = {name: Finding(1.0, 0.0, 2.0, 9, verdict) for name, verdict in verdicts.items()}
+    assert statistics.combined(found) == expected
+    assert (ledger.CLAIMS["M7"].rule.combined(found)[0] == HOLDS) == (HOLDS in verdicts.values())
 
 
 # The ledger itself
@@ -206,8 +182,7 @@ def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
 def made_up(virtual_machine):
     """Evidence of the right form whose every number is drawn, so that no verdict means anything."""
     rng = np.random.default_rng(0)
-    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
-    one, other = ([rhec.Scenario(seed=seed, **short)] for seed in range(2))
+    one, other = ([rhec.Scenario(seed=seed, **SHORT)] for seed in range(2))
     asked = dict(runs=dict(runs=one), logs=dict(logs=other))
     driven = {name: of.to_dict("records")[0] for name, of in run_sets.measure(asked).items()}
 
@@ -243,9 +218,17 @@ def made_up(virtual_machine):
     return {(noise, *key): each for noise in run_sets.PROCESS_NOISES for key, each in found.items()}
 
 
+def findings_of(claims, tables):
+    """{id: {condition: Finding}} of claims."""
+    return {
+        id_: {name: judge(tables) for name, judge in claim.rule.by_condition.items()}
+        for id_, claim in claims.items()
+    }
+
+
 def judged(tables, claims=ledger.CLAIMS, shares=None):
     """The ledger by these tables alone."""
-    findings = evidence.findings_of(claims, tables, 0.95)
+    findings = findings_of(claims, tables)
     looks = {id_: dict.fromkeys(found, 0.95) for id_, found in findings.items()}
     beside = {
         id_: {what: number(tables) for what, number in claim.beside.items()}
@@ -256,17 +239,13 @@ def judged(tables, claims=ledger.CLAIMS, shares=None):
 
 def test_every_claim_is_judged_once_by_the_evidence_alone(made_up):
     table = judged(made_up)
-    assert len(table) >= 30 and table["id"].is_unique and len(table) == len(ledger.CLAIMS)
-    conditions = {name for claim in ledger.CLAIMS.values() for name in claim.rule.by_condition}
-    words = {f"{HOLDS} {only}with {name}" for name in conditions for only in ("", "only ")}
-    words |= {f"{HOLDS} as printed", f"{HOLDS} only as printed"}
-    assert set(table["verdict"]) <= {HOLDS, FAILS, UNDECIDED, UNTESTABLE} | words
-    assert (table["quote"].str.len() > 5).all()
+    assert list(table["id"]) == list(ledger.CLAIMS)
     untested = table[table["verdict"] == UNTESTABLE]
-    assert (untested["why"] != "").all() and (
-        table.drop(untested.index)["test"].str.len() > 10
-    ).all()
-    assert summary.verdict_counts(table)["claims"].sum() == len(table)
+    assert (untested["why"] != "").all()
+    assert (table.drop(untested.index)["test"].str.len() > 10).all()
+    counts = summary.verdict_counts(table)
+    assert counts["claims"].sum() == len(table)
+    assert counts["by derivation"].sum() == table["derived"].sum() > 0
 
 
 def test_to_beat_a_rival_that_is_lost_is_named_so():
@@ -287,32 +266,15 @@ def test_to_beat_a_rival_that_is_lost_is_named_so():
     tables = {("printed", "runs", id_): table for id_, table in ids.items()}
     tables |= {("likelihood", "runs", id_): table for id_, table in ids.items()}
     tables |= {("printed", "runs", "ekf"): lost, ("likelihood", "runs", "ekf"): drives(0.03, False)}
-    found = evidence.findings_of({"B5": ledger.CLAIMS["B5"]}, tables, 0.95)["B5"]
+    found = findings_of({"B5": ledger.CLAIMS["B5"]}, tables)["B5"]
     outcomes = {name: finding.verdict for name, finding in found.items()}
-    assert outcomes["as printed"] == statistics.LOST
+    # The arrival mean (R7) belongs to every claim on the RHE.
+    assert outcomes["as printed"] == outcomes["smoothed arrival mean"] == statistics.LOST
     assert outcomes[rules.LIKELIHOOD] == FAILS and outcomes["W consistent"] == HOLDS
-    assert statistics.combined(found) == ("holds only with W consistent", "W consistent")
-
-
-@pytest.mark.parametrize("smaller, verdict", [("rhe", HOLDS), ("ekf", FAILS)])
-def test_a_verdict_follows_the_runs(made_up, smaller, verdict):
-    runs = {
-        label: pd.DataFrame(
-            dict(mean_error_m=0.05 - 0.01 * (label == smaller) + 0.001 * RNG.normal(size=60))
-        )
-        for label in ("rhe", "ekf")
-    }
-    claims = {"B5": ledger.CLAIMS["B5"]}
-    runs["rhe_smoothed"] = runs["rhe_consistent"] = runs["rhe"]
-    runs["ekf_consistent"] = runs["ekf"]
-    for table in runs.values():
-        table["mean_error_from_start_m"] = table["mean_error_m"]
-        table["arrived"], table["max_error_true_m"] = True, 0.1
-    noises = run_sets.PROCESS_NOISES
-    tables = {(noise, "runs", id_): table for noise in noises for id_, table in runs.items()}
-    (row,) = judged(tables, claims).itertuples()
-    assert row.verdict == verdict and row.n == row.other_n == 60 and not row.derived
-    assert row.value == pytest.approx(-0.01 if smaller == "rhe" else 0.01, abs=5e-4)
+    (row,) = judged(tables, {"B5": ledger.CLAIMS["B5"]}).itertuples()
+    assert (row.verdict, row.condition) == ("holds only with W consistent", "W consistent")
+    assert row.n == row.other_n == 60 and not row.derived
+    assert row.value == pytest.approx(-0.01, abs=5e-4)
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
@@ -320,19 +282,6 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
 
     assert set(range(1000)).isdisjoint(TRAINING_SEEDS)
     assert max(TRAINING_SEEDS) < worlds.FIRST_SEED
-
-
-def test_both_process_noises_meet_the_same_seeds():
-    fields = run_sets.RUNS["q2"]
-    for printed, calibrated in zip(
-        run_sets.scenarios(fields, "printed", range(3)),
-        run_sets.scenarios(fields, "likelihood", range(3)),
-    ):
-        assert (
-            printed.seed == calibrated.seed
-            and printed.q == calibrated.q == paper.Q2
-            and (printed.process_noise, calibrated.process_noise) == run_sets.PROCESS_NOISES
-        )
 
 
 # Looks
@@ -440,21 +389,6 @@ def test_three_looks_are_wrong_as_seldom_as_they_say():
 # Verdicts in words
 
 
-def test_a_verdict_by_derivation_is_marked(made_up):
-    claims = {id_: ledger.CLAIMS[id_] for id_ in ("S3", "I5", "M8")}
-    table = judged(made_up, claims)
-    assert list(table["derived"]) == [True, False, False]
-    assert list(table["verdict"])[:2] == [FAILS, UNTESTABLE]
-    counts = summary.verdict_counts(table)
-    assert counts.loc[FAILS, "by derivation"] == 1 and counts.loc[UNTESTABLE, "claims"] == 1
-
-
-def test_what_may_happen_needs_one_condition():
-    found = {"as printed": finding(FAILS), "W by likelihood": finding(HOLDS)}
-    assert ledger.CLAIMS["M7"].rule.combined(found) == (HOLDS, "W by likelihood")
-    assert ledger.CLAIMS["B6"].rule.combined(found)[0] == "holds only with W by likelihood"
-
-
 def test_verdicts_are_counted_by_class():
     verdicts = [
         HOLDS,
@@ -477,15 +411,10 @@ def test_verdicts_are_counted_by_class():
     "found, verdict",
     [
         (statistics.mean([1.0, 3.0], above=1), HOLDS),
-        (statistics.mean([0.0, 1.0], above=1), FAILS),
         (statistics.mean([0.0, 2.0], above=1), FAILS),  # at the bound, which is not included
-        (statistics.share([True] * 6, above=0.95), HOLDS),
         (statistics.share([True] * 5 + [False], above=0.95), FAILS),
         (statistics.always([True] * 6), HOLDS),
-        (statistics.always([True, False]), FAILS),
-        (statistics.possible([True, False]), HOLDS),
         (statistics.possible([False, False]), FAILS),
-        (statistics.reported([15.0, 16.0, 20.0], 17), HOLDS),
         (statistics.reported([1.0, 2.0, 40.0], 17), HOLDS),
         (statistics.reported([21.9, 22.0, 22.1], 17), FAILS),
         (statistics.ratio([1.0], [0.0], above=1), UNDECIDED),
@@ -537,7 +466,7 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys):
     command.main([])
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [*ledger.CLAIMS]
-    verdicts = pd.read_csv(summary._LEDGER).set_index("id")["verdict"]
+    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, ledger.CLAIMS.items()):
         assert claim.claim in line and line.endswith(f"  {verdicts[id_]}")
 
@@ -568,24 +497,20 @@ def test_a_claim_is_read_as_it_is_written(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "written, instead, refused",
+    "written, instead, named",
     [
-        ('sentence = "It is fast"', "", "claim X1 had no sentence; it should have one"),
-        ("test =", "tests =", "the unknown entry tests"),
-        ('"mean"', '"median"', "the unknown rule 'median'"),
-        ("below = 1", "under = 1", "had under in its rule"),
-        ('["ekf"]', '["kalman"]', "had unknown runs kalman"),
-        ('of = ["mean_error_m"]', "", "for the rule mean; it should have one kind with `of`"),
-        ("of =", 'departures = ["late"]\nof =', "the unknown departure late"),
-        ("of =", 'logs = ["ekf"]\nof =', "had tables ['runs', 'logs']"),
+        ('sentence = "It is fast"', "", "sentence"),
+        ("test =", "tests =", "tests"),
+        ('"mean"', '"median"', "median"),
+        ("below = 1", "under = 1", "under"),
+        ("of =", 'departures = ["late"]\nof =', "late"),
     ],
 )
-def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, refused):
+def test_a_malformed_claim_is_refused_in_one_sentence(tmp_path, written, instead, named):
     file = tmp_path / "claims.toml"
     file.write_text(GOOD.replace(written, instead), encoding="utf-8")
-    with pytest.raises(ValueError, match="claim X1") as error:
+    with pytest.raises(ValueError, match=f"^claim X1 could not be read: .*{named}"):
         rules.load(file)
-    assert refused in str(error.value) and "\n" not in str(error.value)
 
 
 def test_the_paper_s_values_are_those_of_the_package():
@@ -609,26 +534,15 @@ def test_a_weak_verdict_does_not_survive_among_many():
     assert summary.survivors(strong.assign(derived=True)) == (0, [])
 
 
-@pytest.mark.parametrize("n", [0, 3, 45])
-def test_each_argument_has_its_answer_in_order(n):
-    assert parallel_map(int, list(range(n))) == list(range(n))
-
-
 def test_studies_have_their_runs_in_order():
     """However they are put beside each other to share fields and noise."""
-    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
-    asked = [
-        rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2) for q in ((1, 1, 0), (1, 1, 5))
-    ]
+    asked = [rhec.Scenario(seed=seed, q=q, **SHORT) for seed in (9, 2) for q in WEIGHTS]
     found = map_runs(run_sets.measured, asked)
     assert found == [run_sets.measured(rhec.simulate(each)) for each in asked]
 
 
 def test_runs_whose_logs_are_needed_are_driven_once(monkeypatch):
-    short = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
-    one, other = (
-        [rhec.Scenario(seed=seed, q=q, **short) for seed in (9, 2)] for q in ((1, 1, 0), (1, 1, 5))
-    )
+    one, other = ([rhec.Scenario(seed=seed, q=q, **SHORT) for seed in (9, 2)] for q in WEIGHTS)
     driven = []
 
     def campaign(scenarios, folder):
@@ -677,23 +591,21 @@ def test_a_lag_is_found(lag):
     ) == pytest.approx(lag, abs=0.2)
 
 
-def test_a_robot_that_never_arrives_has_used_up_its_time():
-    table = run_sets.complete(
-        pd.DataFrame(dict(settling_time_s=[3.0, np.nan], duration_s=[60.0, 60.0], error=""))
-    )
-    assert list(table["settling_time_s"]) == [3.0, 60.0] and list(table["arrived"]) == [True, False]
-
-
-def test_no_claim_is_judged_on_runs_that_failed():
+def test_who_never_arrives_has_used_up_the_time_and_failed_runs_are_no_evidence():
+    table = pd.DataFrame(dict(settling_time_s=[3.0, np.nan], duration_s=60.0, error=""))
+    found = run_sets.complete(table)
+    assert list(found["settling_time_s"]) == [3.0, 60.0]
+    assert list(found["arrived"]) == [True, False]
     with pytest.raises(RuntimeError, match="1 of 2 runs failed, the first with: ValueError: no"):
-        run_sets.complete(
-            pd.DataFrame(
-                dict(settling_time_s=[3.0, np.nan], duration_s=60.0, error=["", "ValueError: no"])
-            )
-        )
+        run_sets.complete(table.assign(error=["", "ValueError: no"]))
 
 
 # Experiments and estimators
+
+
+def test_the_time_from_which_an_error_stays_small():
+    assert experiments.reached_s(np.r_[np.ones(10), np.zeros(40)]) == pytest.approx(2.0)
+    assert experiments.reached_s(np.ones(50)) == pytest.approx(10.0)
 
 
 def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
@@ -718,29 +630,3 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
     _, constant = experiments.run_with_given_arrival(steps, log, "likelihood", P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "error, reached",
-    [(np.zeros(50), 0.0), (np.r_[np.ones(10), np.zeros(40)], 2.0), (np.ones(50), 10.0)],
-)
-def test_the_time_from_which_an_error_stays_small(error, reached):
-    assert experiments.reached_s(error) == pytest.approx(reached)
-
-
-@pytest.mark.nightly
-def test_the_search_goes_on_until_an_estimate_below_zero_is_found(virtual_machine):
-    """It does from the worst starts; what is reported is what the last run has."""
-    found = experiments.lowest_traction("likelihood", most=18)
-    assert (found["lowest"] < 0).any() or len(found) >= 18
-    row = found.iloc[-1]
-    given = row.drop(["lowest"]).to_dict() | dict(seed=round(row["seed"]), duration_s=60.0)
-    choice = dict(estimator="augmented_ekf", process_noise="likelihood")
-    log = rhec.simulate(rhec.Scenario(**given, **choice)).log
-    assert log[["mu_hat", "kappa_hat"]].to_numpy().min() == row["lowest"]
-
-
-# The augmented EKF
-
-
-# Tables and figure

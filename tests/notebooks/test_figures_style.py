@@ -41,42 +41,33 @@ def parabola():
     return figure
 
 
-def test_a_figure_made_again_is_the_same_bytes(tmp_path):
-    first = style.save(parabola(), "parabola", Scenario(), tmp_path / "first")
-    again = style.save(parabola(), "parabola", Scenario(), tmp_path / "again")
-    for suffix in (".png", ".pdf"):
-        assert first.with_suffix(suffix).read_bytes() == again.with_suffix(suffix).read_bytes()
-
-
-def test_files_tell_version_scenario_and_notebook(tmp_path):
-    png = style.save(parabola(), "parabola", Scenario(), tmp_path, notebook="03_scenario_a.ipynb")
-    inside = Image.open(png).text
-    assert inside["Title"] == "parabola"
-    assert inside["Creator"] == f"rhec {rhec.__version__}"
-    assert inside["Keywords"] == SCENARIO_JSON
-    assert inside["Subject"] == "03_scenario_a.ipynb"
-    pdf = png.with_suffix(".pdf").read_bytes()
-    creator = f"/Creator (rhec {rhec.__version__}"
-    for expected in ("/Title (parabola)", creator, SCENARIO_JSON, "/Subject (03_scenario_a.ipynb)"):
-        assert expected.encode() in pdf
-    assert b"CreationDate" not in pdf
-
-
-def test_an_edit_of_the_source_leaves_a_picture_s_bytes_and_changes_its_source(
-    tmp_path, monkeypatch
-):
-    """Pictures kept in git do not change unless they change on paper."""
+def test_a_figure_made_again_is_the_same_bytes_and_tells_its_source(tmp_path, monkeypatch):
+    """After an edit of the source, pictures kept in git stay as they are, and PDFs name it."""
     module = tmp_path / "rhec" / "unrelated.py"
     module.parent.mkdir()
     monkeypatch.setattr(style, "source", functools.partial(style.source, tmp_path))
-    saved = []
-    for text in ("before", "after"):
+    png = {}
+    pdf = {}
+    sources = []
+    for folder, text in (("first", "before"), ("again", "before"), ("edited", "after")):
         module.write_text(text)
-        png = style.save(parabola(), "parabola", Scenario(), tmp_path / text)
-        saved.append((png.read_bytes(), style.source_of(png)))
-        assert saved[-1][1] == f"rhec {rhec.__version__}, source {style.source()}"
-    (bytes_before, source_before), (bytes_after, source_after) = saved
-    assert bytes_before == bytes_after and source_before != source_after
+        file = style.save(parabola(), "parabola", Scenario(), tmp_path / folder, "03.ipynb")
+        png[folder] = file.read_bytes()
+        pdf[folder] = file.with_suffix(".pdf").read_bytes()
+        sources.append(style.source_of(file))
+    assert png["first"] == png["again"] == png["edited"] and pdf["first"] == pdf["again"]
+    assert (
+        sources[0]
+        == sources[1]
+        != sources[2]
+        == f"rhec {rhec.__version__}, source {style.source()}"
+    )
+    inside = Image.open(file).text
+    assert inside["Title"] == "parabola" and inside["Keywords"] == SCENARIO_JSON
+    assert inside["Creator"] == f"rhec {rhec.__version__}" and inside["Subject"] == "03.ipynb"
+    for expected in ("/Title (parabola)", SCENARIO_JSON, "/Subject (03.ipynb)"):
+        assert expected.encode() in pdf["first"]
+    assert b"CreationDate" not in pdf["first"]
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):

@@ -44,20 +44,6 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
     )
 
 
-def test_the_yaw_gain_falls_with_the_position_s_process_noise():
-    """K_θ = σ_θ / √S, which falls as 1/σ_x."""
-    table = interpretations.ekf_on_a_straight(np.geomspace(1e-3, 20, 9))
-    S = paper.SIGMA_V[0] ** 2 / (1 - table["gain_position"])
-    np.testing.assert_allclose(
-        table["gain_yaw_radpm"], paper.SIGMA_W_EKF[2] / np.sqrt(S), rtol=1e-6
-    )
-    wide = interpretations.ekf_on_a_straight([5.0, 10.0])
-    assert (
-        wide["gain_yaw_radpm"][0] / wide["gain_yaw_radpm"][1] == pytest.approx(2, rel=0.05)
-        and wide["time_s"].is_monotonic_increasing
-    )
-
-
 def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
     """There its variance grows by σ_κ² a sample; in a curve it stays."""
     sigma = [0.1, 0.2]
@@ -82,12 +68,6 @@ def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine
     assert list(table["sigma"]) == pytest.approx(
         [factor * tuning.SIGMA_W["ekf"]["likelihood"][2] for factor in (0.2, 1, 5)]
     )
-
-
-def test_kappa_is_known_better_in_curves(virtual_machine):
-    table = interpretations.sigma_kappa_table([0.1, 0.2])
-    assert list(table) == ["sigma_kappa", "straight", "curve"]
-    assert (table["curve"] < table["straight"]).all()
 
 
 @pytest.fixture(scope="module")
@@ -126,15 +106,6 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
         == 0
         != of.loc[("R1", "true error, RHE - EKF [m]"), "change"]
     )  # R1 is the EKF's alone
-
-
-def test_the_entries_of_w_are_those_of_the_tuning():
-    values = interpretations.ENTRIES["rhe_kappa"].values
-    assert values == {name: tuning.SIGMA_W["rhe"][name][5] for name in ("printed", "likelihood")}
-    assert [entry.values["printed"] for entry in interpretations.ENTRIES.values()][:2] == [
-        paper.SIGMA_W_EKF[0],
-        paper.SIGMA_W_EKF[2],
-    ]
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -16,7 +16,7 @@ class Counted:
     def __init__(self):
         self.fields = []
 
-    def __call__(self, loop, fields):
+    def __call__(self, **fields):
         self.fields.append(fields)
         sigma = np.array(fields.get("sigma_w", [0.02]))
         return float(np.log(fields.get("r", 1) / 0.5) ** 2 + np.square(np.log(sigma / 0.02)).sum())

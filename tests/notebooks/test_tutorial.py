@@ -94,7 +94,6 @@ def midpoint(xi, omega, p):
         (lambda xi, omega, p: [0, 0], "returned 2 numbers; it should return 3"),
         (lambda xi, omega: xi, "raised TypeError"),
         (lambda xi, omega, p: [np.nan] * 3, "finite"),
-        (None, "nothing here yet"),
         (..., "nothing here yet"),
     ],
 )
@@ -119,15 +118,7 @@ def test_any_right_interval_is_accepted():
 
 
 @pytest.mark.parametrize(
-    "q, said",
-    [
-        (paper.Q1, "never settles"),
-        (paper.Q2, "too far"),
-        (paper.Q3, "too slow"),
-        ((0.0, 0.0, 1.0), "never settles"),
-        ((1.0, 1.0), "raised ValueError"),
-        ((-1.0, 1.0, 1.0), "raised ValueError"),
-    ],
+    "q, said", [(paper.Q1, "never settles"), (paper.Q2, "too far"), (paper.Q3, "too slow")]
 )
 def test_weights_that_do_not_do_are_found_out(q, said):
     answer = tutorial_checks.weights(q)
@@ -145,18 +136,12 @@ def test_more_than_one_choice_of_weights_does():
         (lambda c, p: c * p[0] * p[1], "what does κ do"),
         (lambda c, p: c * p[0] / p[2], "what does μ do"),
         (lambda c, p: -c * p[0] * p[1] / p[2], "off the circle"),
-        (lambda c, p: 0.0, "off the circle"),
-        (lambda c, p: np.nan, "finite"),
-        (lambda c: c, "raised TypeError"),
+        (lambda c, p: c * p[0] * p[1] / p[2], None),
     ],
 )
-def test_a_wrong_turn_is_found_out(turn, said):
+def test_the_right_turn_alone_is_accepted(turn, said):
     answer = tutorial_checks.feedforward(turn)
-    assert not answer.right and said in answer.sentence
-
-
-def test_the_right_turn_is_accepted():
-    assert tutorial_checks.feedforward(lambda c, p: c * p[0] * p[1] / p[2]).right
+    assert answer.right == (said is None) and (said or "") in answer.sentence
 
 
 def estimator(mu_next):
@@ -186,15 +171,8 @@ def test_an_estimator_must_learn(virtual_machine):
         estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first
     ).right
     for wrong, said in [
-        (first, "below zero"),
         (estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu - 0.1 * ahead, 0), 1)), "below zero"),
         ("rhe", "is a str"),
-        (
-            ca.Function(
-                "short", [ca.SX.sym("m", 6), ca.SX.sym("z", 3)], [ca.SX(6, 1), ca.SX(6, 1)]
-            ),
-            "should have 4",
-        ),
     ]:
         answer = tutorial_checks.estimator(wrong, first)
         assert not answer.right and said in answer.sentence
@@ -216,12 +194,9 @@ def test_a_terrain_must_have_the_strip():
     assert tutorial_checks.terrain(strip(cell=0.25), PATH).right
     for wrong, said in [
         (strip(edges=(18, 25)), "outside the strip"),
-        (strip(edges=(22, 25)), "in the strip"),
         (strip(kappa=(0.8, 0.8)), "in the strip"),
         (strip(end=23.0), "outside the strip"),
         (strip(cell=1.0), "at most 0.5 m"),
-        (rhec.Terrain.uniform(0.9, 0.8), "at most 0.5 m"),
-        (np.ones((9, 9)), "is a ndarray"),
     ]:
         answer = tutorial_checks.terrain(wrong, PATH)
         assert not answer.right and said in answer.sentence, answer
@@ -247,9 +222,3 @@ def test_an_interval_must_be_of_the_paired_differences():
     ]:
         answer = tutorial_checks.difference(wrong, one, other)
         assert not answer.right and said in answer.sentence, answer
-
-
-def test_an_answer_is_shown_as_text_and_without_the_students_markup():
-    answer = tutorial_checks.Answer(False, "<b>x</b>")
-    assert repr(answer) == "Not yet: <b>x</b>"
-    assert re.search("&lt;b&gt;x", answer._repr_html_())

@@ -1,1 +1,1 @@
-"""Measure an export of `rhec.export`: agreement with Python, memory, times, instructions."""
+"""Measure an export of `rhec.export`: agreement with Python, memory, fuzzing, times."""

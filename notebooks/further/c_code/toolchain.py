@@ -14,22 +14,6 @@ import pandas as pd
 
 from rhec.core._casadi import compiled
 
-__all__ = [
-    "FLAGS",
-    "LIBRARY",
-    "STATUS",
-    "Machine",
-    "arm",
-    "library",
-    "nonsense",
-    "program",
-    "replay",
-    "run",
-    "sizes",
-    "this_machine",
-    "times",
-]
-
 # As in rhec/embedded/c/CMakeLists.txt
 FLAGS = (
     "-std=c99",

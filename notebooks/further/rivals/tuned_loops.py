@@ -1,14 +1,10 @@
 """Controller and estimator tuned together, {contestant: fields of Scenario}, in the default world.
 
 Source: `notebooks.further.tune_loops`, with 40 evaluations for each unknown on the training seeds
-1000 to 1023, drives of 240 s. The comment is the mean true error on them. "pure_pursuit" is driven
-with `pure_pursuit.controller` in the place of the RHC.
+1000 to 1023, drives of 240 s. The comment is the mean true error on them.
 """
 
 TUNED: dict[str, dict] = {
-    "ekf": dict(  # 0.01333 m
-        estimator="ekf", sigma_w=(0.00911, 0.00911, 0.0289, 0.228), q=(1.0, 1.0, 0.0173), r=0.014
-    ),
     "fixed_traction": dict(  # 0.01326 m
         estimator="fixed_traction",
         sigma_w=(0.013, 0.013, 0.0335, 0.216),
@@ -42,11 +38,6 @@ TUNED: dict[str, dict] = {
         sigma_w=(0.00185, 0.00185, 0.0125, 5.84, 0.122, 0.00144, 0.000955),
         q=(1.0, 1.0, 0.0337),
         r=0.00175,
-    ),
-    "pure_pursuit": dict(  # 0.01328 m
-        estimator="bounded_ekf",
-        sigma_w=(0.0147, 0.0147, 0.0424, 0.00108, 0.00247, 0.164),
-        look_ahead_m=0.449,
     ),
     "traction_oracle": dict(  # 0.01322 m
         estimator="traction_oracle",
