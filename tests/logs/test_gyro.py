@@ -7,6 +7,7 @@ from helpers import TRACK_WIDTH_M, may_be_unsure, recorded_log
 
 import rhec
 from rhec.simulation.columns import ESTIMATE
+from rhec.tracked_robot.gyro_check import are_accepted
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
 START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
@@ -17,9 +18,9 @@ def with_gyro(scale=1.0, bias=0.0, sigma=0.01, log=LOG):
     return log.assign(gyro_radps=scale * log["yaw_rate_true_radps"] + bias + noise)
 
 
-def with_heading(offset=0.0, sign=1.0, log=LOG):
+def with_heading(log):
     noise = 0.02 * np.random.default_rng(3).standard_normal(len(log))
-    heading = sign * log["yaw_true_rad"] + offset + noise
+    heading = log["yaw_true_rad"] + noise
     return log.assign(heading_rad=(heading + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -93,6 +94,13 @@ def test_a_gyro_that_fails_in_mid_log_is_left_out(kind, begin_s):
     assert used[log["t_s"] > begin_s + 40].mean() > 0.98
     remarks = " ".join(result.attrs["remarks"])
     assert ("The gyro is left out" in remarks) == (kind != "silent")
+
+
+def test_a_sample_that_repeats_itself_or_is_absurd_is_left_out():
+    gyro = pd.Series([0.1, 0.1, np.nan, 0.1, 0.2, 2.2, 2.2001, 0.3])
+    tracks = pd.Series([0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.7, 0.5])
+    expected = [True, False, False, False, True, False, True, True]
+    assert are_accepted(gyro, tracks).tolist() == expected
 
 
 def test_a_gyro_carries_the_yaw_where_positions_are_missing():

@@ -189,10 +189,13 @@ def merged(gnss, encoders_hz=10.0, noise_m=0.0):
 
 
 def another_future(log, from_s, generator):
-    """The same log until from_s [s]; then other measurements, some missing, at other times."""
+    """The same log until from_s [s]; then other measurements, some missing, at other times.
+
+    Their noise is the same, because it is asked of the whole log.
+    """
     later = log[log["t_s"] > from_s].copy()
     for name in ("x_m", "y_m", "speed_mps", "yaw_rate_radps"):
-        later[name] = later[name] + generator.normal(0, 5.0, len(later))
+        later[name] = later[name] + generator.normal(0, 5.0)
         later.loc[generator.random(len(later)) < 0.2, name] = np.nan
     later["t_s"] += generator.uniform(0, 0.03, len(later))
     return pd.concat([log[log["t_s"] <= from_s], later[generator.random(len(later)) < 0.9]])
