@@ -70,15 +70,15 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 	  --extra-keys metadata.language_info
 
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
-	@cd tests && ../$(PY) -m benchmark
+	@PYTHONPATH=tests $(PY) -m benchmark
 
 nightly: $(READY) ## what takes long: every test, failing sensors, killed workers, fuzzing, studies
 	@$(MAKE) test WHAT=--thorough
 	@$(MAKE) figures studies
 	@$(MAKE) check-figures
 	@$(MAKE) test-browser
-	@$(PY) tests/soak.py --samples 10000000
-	@$(PY) tests/storm.py --runs 100000
+	@$(PY) tests/soak.py
+	@$(PY) tests/storm.py
 	@$(PY) tests/fuzz
 
 ##@ Maintain
@@ -109,11 +109,11 @@ $(READY): environment.txt pyproject.toml
   { tail .venv/pip.log >&2; exit 1; }
 	@$(PIP) -q --no-deps --no-build-isolation -e . && touch $@
 
-.venv/peers: tests/benchmark/peers.txt $(READY)
+.venv/peers: benchmark/peers.txt $(READY)
 	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
 
 # acados has a separate environment, because its wheel contains another CasADi.
-.venv/acados: tests/benchmark/acados.txt $(READY)
+.venv/acados: benchmark/acados.txt $(READY)
 	@$(PY) -m venv $@ && $@/bin/python -m pip --disable-pip-version-check install -q --no-deps \
 	  --require-hashes -r $< || { rm -rf $@; echo 'acados could not be installed' >&2; }
 

@@ -332,7 +332,7 @@ def _reading():
     )
     options = _options_of(rhec.logs.read, group, skipped=texts)
     for name, text in texts.items():
-        words = Parameter(help=text, group=group, consume_multiple=True)
+        words = Parameter(help=text, group=group, consume_multiple=True, show_default=False)
         kind = Annotated[tuple[str, ...], words]
         option = inspect.Parameter(
             name, inspect.Parameter.KEYWORD_ONLY, default=(), annotation=kind

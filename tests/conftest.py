@@ -30,17 +30,7 @@ LONGEST = (
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--thorough",
-        action="store_true",
-        help="also run what is marked `nightly`, and all of what is sampled otherwise",
-    )
-
-
-@pytest.fixture(scope="session")
-def thorough(request):
-    """Whether all of what is sampled otherwise is tested."""
-    return request.config.getoption("--thorough")
+    parser.addoption("--thorough", action="store_true", help="also run what is marked `nightly`")
 
 
 def pytest_configure():

@@ -1,7 +1,6 @@
 /* A disk that fails: the k-th call that opens for writing, writes, syncs, renames or makes something
-   below a folder returns "no space left" (k = 0: none does). Where `memory_least` is above 0, it is
-   the k-th allocation of at least so many bytes that fails instead. For LD_PRELOAD; the test sets
-   `folder` and `fails_at`, and reads `calls`. */
+   below a folder returns "no space left" (k = 0: none does). For LD_PRELOAD; the test sets `folder`
+   and `fails_at`, and reads `calls`. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -9,13 +8,12 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/types.h>
 #include <unistd.h>
 
 char folder[4096];
-long calls, fails_at, fails_ever_after, memory_least;
+long calls, fails_at, fails_ever_after;
 
 static int is_below(const char *path) {
   return folder[0] && path && !strncmp(path, folder, strlen(folder));
@@ -31,28 +29,13 @@ static int is_file_below(int fd) {
   return is_below(path);
 }
 
-/* Whether this call is the one that fails, with this error. */
-static int is_next(int error) {
+/* Whether this call counts, and is the one that fails. */
+static int fails(int counts) {
+  if (!counts) return 0;
   long k = __atomic_add_fetch(&calls, 1, __ATOMIC_SEQ_CST);
   int failing = fails_at && (k == fails_at || (fails_ever_after && k > fails_at));
-  if (failing) errno = error;
+  if (failing) errno = ENOSPC;
   return failing;
-}
-
-static int fails(int counts) { return counts && !memory_least && is_next(ENOSPC); }
-
-static int lacks_memory(size_t size) {
-  return memory_least && folder[0] && size >= (size_t)memory_least && is_next(ENOMEM);
-}
-
-/* glibc's own, since looking them up would allocate. */
-void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
-void *malloc(size_t size) { return lacks_memory(size) ? NULL : __libc_malloc(size); }
-void *calloc(size_t n, size_t size) {
-  return lacks_memory(n * size) ? NULL : __libc_calloc(n, size);
-}
-void *realloc(void *old, size_t size) {
-  return lacks_memory(size) ? NULL : __libc_realloc(old, size);
 }
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
@@ -105,9 +88,4 @@ int renameat(int from_at, const char *from, int to_at, const char *to) {
 }
 int mkdir(const char *path, mode_t mode) {
   return fails(is_below(path)) ? -1 : REAL(mkdir)(path, mode);
-}
-void *mmap(void *at, size_t size, int protection, int flags, int fd, off_t offset) {
-  int own = flags & MAP_ANONYMOUS;  /* Python's arenas */
-  return own && lacks_memory(size) ? MAP_FAILED
-                                   : REAL(mmap)(at, size, protection, flags, fd, offset);
 }

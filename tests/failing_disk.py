@@ -1,10 +1,10 @@
-"""Make every file operation of a task fail in turn, or every large allocation, as SQLite's tests do
-(run by `tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
+"""Make every file operation of a task fail in turn, as SQLite's tests do (run by
+`tests/project/test_failing_disk.py`, with failing_disk.c preloaded).
 
 For each k, a child process runs the task in a fresh folder on a disk whose k-th operation fails,
 alone or with all later ones: both in turn, of a long task one of them. It reports what was raised
 and what was left. Then the task runs again in the same folder on a disk that works. Of a long task
-every fifth k is taken, and every k where the last argument is 1.
+every fifth k is taken.
 """
 
 import contextlib
@@ -20,7 +20,6 @@ import shutil
 import signal
 import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 from unittest import mock
@@ -33,12 +32,9 @@ from rhec import cli, embedded, style
 from rhec.core._casadi import cache
 
 LONG = 100  # operations of a long task
+STRIDE = 5  # odd, so that both kinds are taken in turn
 MOST_OPERATIONS = 1000  # a task that never ends without failure would be a loop
-ALLOCATION = 8192  # [B] smaller allocations do not fail: Python itself needs them to go on
-MOST_ALLOCATIONS = 12  # of a task fail, evenly spread over it
 LONGEST_S = 60.0  # of a child that says nothing
-DIED = "the process died without memory"
-
 SCENARIOS = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
 
 
@@ -116,7 +112,7 @@ TASKS = dict(
 
 
 def set_disk(disk, folder, fails_at, ever_after):
-    """Let the k-th operation below a folder, or allocation, fail; "" stops failing and counting."""
+    """Let the k-th operation below a folder fail; "" stops failing and counting."""
     name = (ctypes.c_char * 4096).in_dll(disk, "folder")
     name.value = b""
     ctypes.c_long.in_dll(disk, "calls").value = 0
@@ -138,20 +134,20 @@ def attempt(task, folder, disk, fails_at, ever_after):
     return outcome
 
 
-def in_a_child(function, longest_s=LONGEST_S):
+def in_a_child(function):
     """The JSON result of a function that runs in a forked process, which may die.
 
     A fork of a process that has had threads may wait for a lock that one of them held. That is no
     fault of the task, so a child that says nothing for long is killed and forked anew.
     """
     for _ in range(3):
-        is_done, text = fork_once(function, longest_s)
+        is_done, text = fork_once(function)
         if is_done:
             return json.loads(text) if text else None
-    raise RuntimeError(f"three children said nothing for {longest_s:.0f} s each")
+    raise RuntimeError(f"three children said nothing for {LONGEST_S:.0f} s each")
 
 
-def fork_once(function, longest_s):
+def fork_once(function):
     """Whether a forked process ended in time, and what it wrote."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -161,7 +157,7 @@ def fork_once(function, longest_s):
             json.dump(function(), pipe)
         os._exit(0)
     os.close(writing)
-    is_done = bool(select.select([reading], [], [], longest_s)[0])
+    is_done = bool(select.select([reading], [], [], LONGEST_S)[0])
     if not is_done:
         os.kill(child, signal.SIGKILL)
     with os.fdopen(reading) as pipe:
@@ -192,25 +188,9 @@ def one_point(task, disk, k, ever_after):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def point_of_memory(task, disk, k, longest_s):
-    """As `one_point`, for the k-th allocation. CasADi ends the process where it lacks memory."""
-    folder = Path(tempfile.mkdtemp())
-    try:
-        first = in_a_child(lambda: attempt(task, folder, disk, k, 0), longest_s)
-        left = digests(folder)
-        for file in folder.rglob("*.parquet"):
-            parquet.read_table(file, use_threads=False)  # what has its name is whole
-        again = in_a_child(lambda: attempt(task, folder, disk, 0, 0), longest_s)
-        first = first or dict(result=None, error=DIED, calls=k)
-        point = dict(k=k, first=first, left=left, again=again)
-        return point | dict(finally_there=digests(folder))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def main():
     warnings.simplefilter("ignore")
-    name, library, what, stride = sys.argv[1:]
+    name, library = sys.argv[1:]
     os.environ["RHEC_UNATTENDED"] = "1"
     task = TASKS[name]
     disk = ctypes.CDLL(library)
@@ -218,36 +198,22 @@ def main():
     task(warm)  # imports and compiles
     shutil.rmtree(warm)
     gc.freeze()  # else each child's collector would copy all memory that it shares
-    ctypes.c_long.in_dll(disk, "memory_least").value = ALLOCATION if what == "memory" else 0
-    begun = time.monotonic()
     reference = in_a_child(lambda: one_point(task, disk, 0, 0))
-    # The reference is two runs; a run that takes twenty times as long waits for ever.
-    longest_s = 5.0 + 10.0 * (time.monotonic() - begun)
     count = reference["first"]["calls"]
     assert 0 < count < MOST_OPERATIONS, count
-    if what == "memory":
-        points = memory_points(task, disk, count, longest_s)
-    else:
-        points = points_of(task, disk, count, int(stride))
+    points = points_of(task, disk, count)
     print(json.dumps(dict(reference=reference, points=points)))
 
 
-def memory_points(task, disk, count, longest_s):
-    """The points of a task with `count` allocations, each of which fails alone."""
-    # Without any memory ever after, not even a folder could be listed to remove it.
-    places = range(1, count + 1, -(-count // MOST_ALLOCATIONS))
-    return [point_of_memory(task, disk, k, longest_s) for k in places]
-
-
-def points_of(task, disk, count, stride):
+def points_of(task, disk, count):
     """The points of a task with `count` operations; None where the process died.
 
-    Of a long task every stride-th operation fails. An odd stride takes both kinds in turn.
+    Of a long task every fifth operation fails, alone or with all later ones in turn.
     """
     every = range(1, count + 1)
     failures = [(k, ever) for k in every for ever in (0, 1)]
     if count >= LONG:
-        failures = [(k, k % 2) for k in every[::stride]]
+        failures = [(k, k % 2) for k in every[::STRIDE]]
     # Of a long task, a child takes several failures: most of the time would go into forks.
     size = 1 if count < 50 else 25
     points = []

@@ -509,27 +509,3 @@ def breaches(rhe_row, ekf_row, moved):
         back=rhe_row.back > ekf_row.back + LATER_BACK,
     )
     return [name for name, is_broken in broken.items() if is_broken]
-
-
-def table(n, wanted=lambda case: True):
-    """All rows as lines of Markdown, with what they break."""
-    head = (
-        "| robot | when | fault | RHE lost (ok) | EKF | worst | EKF | median | EKF | back | EKF |"
-    )
-    yield f"{head} breaks |"
-    yield "|---" * 12 + "|"
-    for case in filter(wanted, cases()):
-        ours, kalman, moved = rows_of(case, n)
-        cells = [*case, f"{ours.lost} ({ours.lost_ok})", kalman.lost]
-        cells += [
-            f"{value:.2f}" for value in (ours.worst, kalman.worst, ours.median, kalman.median)
-        ]
-        cells += [ours.back, kalman.back, ", ".join(breaches(ours, kalman, moved))]
-        yield "| " + " | ".join(map(str, cells)) + " |"
-
-
-if __name__ == "__main__":
-    import sys
-
-    for line in table(int(sys.argv[1]), lambda case: all(w in str(case) for w in sys.argv[2:])):
-        print(line, flush=True)

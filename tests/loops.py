@@ -5,11 +5,14 @@ one loop that differ in all else.
 import dataclasses
 
 import casadi as ca
-from helpers import own_controller
+from helpers import no_compiler, own_controller
 
 import rhec
 from rhec import paper
+from rhec.core.controller import rhc
+from rhec.simulation import closed_loop
 from rhec.tracked_robot.estimators import NAMES
+from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 SMALL = rhec.Scenario(estimation_horizon=3, prediction_horizon=3, duration_s=20.0)
 
@@ -83,3 +86,38 @@ def unlike(scenario):
             rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
             faults=faults if scenario.faults else (),
         )  # fmt: skip
+
+
+def live_step(scenario):
+    """The loop's estimator, path and controller as objects in plain Python.
+
+    A function of z that returns x̂, ŷ, θ̂, ν̂, μ̂, κ̂, ω and the KKT tolerances of both.
+    """
+    setup = closed_loop.set_up(scenario)
+    horizon = scenario.prediction_horizon
+    with no_compiler():
+        mhe = rhec.RHE(
+            horizon=scenario.estimation_horizon,
+            process_noise=scenario.process_noise or "printed",
+            speed_model=scenario.speed_model,
+            sensors=scenario.sensors,
+            guess=tuple(setup.guess),
+        )
+        weights = dict(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
+        mpc = rhec.RHC(horizon=horizon, **weights)
+        tracker = rhec.PathTracker(setup.path, horizon, look_ahead_m=scenario.look_ahead_m)
+    mpc.iteration.start(rhc.init(mpc.problem, setup.guess[:3], setup.guess[3:]))
+    fastest = SPEED_MODELS["parameter"].model.limits[3]
+    command = 0.0
+
+    def step(z):
+        nonlocal command
+        mhe.prepare()
+        mpc.prepare()
+        estimate = mhe.feedback(z)
+        # The yaw rate of the last command stands in for one that was not measured.
+        references = tracker.references(estimate, z[3] if abs(z[3]) <= fastest else command)
+        command = mpc.feedback(estimate.pose, estimate.p, *references)
+        return [*estimate[:6], command, mhe.kkt, mpc.kkt]
+
+    return step

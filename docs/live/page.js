@@ -14,9 +14,7 @@ const failed = error => {
 // The process noise W of an estimator: printed, likelihood, or the sliders'.
 function sigma_w_of({ sigma_w }) {
   const own = page.values.sigma_w; // of (x, y, θ, ν, μ, κ)
-  // The yaw drift has no slider.
-  const all = [...own, ...sigma_w.likelihood.slice(own.length)];
-  return sigma_w[$("noise").value] ?? all.slice(0, sigma_w.printed.length);
+  return sigma_w[$("noise").value] ?? own.slice(0, sigma_w.printed.length);
 }
 
 function values_of({ data }, fields) { // of the Scenario
@@ -26,9 +24,7 @@ function values_of({ data }, fields) { // of the Scenario
 async function drive() {
   const { world, values, runs, patches } = page;
   const seed = Number($("seed").value);
-  // An address may ask for any duration, and the arrays have an end.
-  const asked_for = Math.round(values.duration_s / world.dt_s);
-  const samples = Math.max(1, Math.min(asked_for, world.max_samples));
+  const samples = Math.round(values.duration_s / world.dt_s);
   page.soil = await world.soil(seed, $("soil").value, patches, values.start_offset_m);
   let took = 0;
   for (const [i, { module, fields }] of runs.entries()) {
@@ -81,7 +77,7 @@ function line_of(run, { data }) { // the line of Python that is this run
     ...run.fields,
     patches: page.patches,
     seed: Number($("seed").value),
-    process_noise: noise === "printed" && data.is_printed ? noise : "likelihood",
+    process_noise: noise === "own" ? "likelihood" : noise,
   };
   delete fields.sigma_w;
   if (noise === "own") fields.sigma_w = sigma_w_of(data);
@@ -149,7 +145,7 @@ function move(field, value) { // by a pointer on the map, as the slider would
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
-function choose(id, words = []) { // a scene as it begins, but for the words of an address
+function choose(id) { // a scene as it begins
   const scene = structuredClone(page.world.scenes[id]);
   const { values } = scene;
   const runs = scene.runs.map(([name, module, fields]) => ({ name, module, fields }));
@@ -165,7 +161,6 @@ function choose(id, words = []) { // a scene as it begins, but for the words of 
   $("faulty").hidden = id !== "faults";
   $("fault").value = scene.fault;
   $("moment").value = (scene.time_s + 0.1) / values.duration_s;
-  take_address(words);
   show();
   ask(drive);
 }
@@ -255,8 +250,17 @@ function begin(world) {
   });
   new ResizeObserver(() => page.soil && ask(draw)).observe($("pictures"));
   matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
-  document.addEventListener("drawn", write_address);
   if (!open_address()) choose("a");
+  addEventListener("hashchange", open_address);
+}
+
+// Choose the scene of an address such as #b, if it names one. Returns whether it does.
+function open_address() {
+  const scene = location.hash.slice(1);
+  if (!Object.hasOwn(page.world.scenes, scene)) return false;
+  choose(scene);
+  (story.busy ?? Promise.resolve()).then(() => $("sandbox").scrollIntoView());
+  return true;
 }
 
 addEventListener("DOMContentLoaded", () => // when all scripts are there

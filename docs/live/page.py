@@ -61,14 +61,13 @@ _ANY_FAULT = next(iter(FAULTS.values()))
 STRUCTURES = {
     "rhe": {},
     "ekf": dict(estimator="ekf"),
-    "yaw_drift": dict(estimator="yaw_drift_ekf"),
     "rhe_faulty": dict(faults=_ANY_FAULT),
     "ekf_faulty": dict(estimator="ekf", faults=_ANY_FAULT),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
 # What scripts need of a step of the story; its template has the rest.
-_TOLD = ("told", "right", "wrong", "idle", "run", "controls")
+_TOLD = ("told", "right", "wrong", "idle", "run")
 # Parameters of Scenario that have sliders; none of them changes the structure of the loop.
 _FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
 _FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
@@ -156,7 +155,6 @@ def _module(own):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     memory, directions = affine_memory(own)
-    noises = ("printed", "likelihood")
     sigma_w = tuning.SIGMA_W[scenario.estimator]
     built = functions.build_functions(scenario)
     text = functions.c_text(built)
@@ -170,9 +168,7 @@ def _module(own):
         },
         places=_places(setup),
         states=estimator_of(choice.estimator).states(choice),
-        # Of an estimator that is not the paper's none is printed.
-        sigma_w={name: sigma_w.get(name, sigma_w["likelihood"]) for name in noises},
-        is_printed="printed" in sigma_w,
+        sigma_w={name: sigma_w[name] for name in ("printed", "likelihood")},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),

@@ -249,7 +249,6 @@ function say(step, { ok, idle, digits = {}, ...numbers }) {
   put(".told", idle ? "" : filled(step.told));
   put(".answer", idle ? step.idle : filled(ok ? `✓ ${step.right}` : step.wrong));
   step.section.querySelector(".answer").classList.toggle("ok", ok);
-  step.section.querySelector(".here").setAttribute("href", address_of_step(step));
 }
 
 async function update(step) {
@@ -292,7 +291,6 @@ function begin_story() {
   document.addEventListener("drawn", () => want(story.steps.sandbox));
   matchMedia("(prefers-color-scheme: dark)").onchange = all;
   addEventListener("resize", all);
-  if (location.hash.startsWith("#step-")) open_address();
 }
 
 addEventListener("DOMContentLoaded", () => load("world").then(begin_story).catch(failed));

@@ -302,15 +302,12 @@ def _provenance_page(stories, figures):
     ]
     runs = pd.DataFrame([_run_of(place, notebook) for place, notebook in stories.items()])
     licences = ", ".join(f"{{download}}`{name} <licences/{name}.txt>`" for name in SHOWN)
-    packages = pd.DataFrame(_packages(), columns=["package", "version"])
     return "\n\n".join(
         [
             "# Provenance",
             answer.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
             "## Notebooks",
             answer.to_markdown(runs),
-            "## Packages",
-            answer.to_markdown(packages),
             f"These pages hold scripts and styles of other projects; their licences: {licences}.",
         ]
     )
@@ -341,14 +338,6 @@ def licence(package):
     files = importlib.metadata.files(package)
     (file,) = [each for each in files if re.search(r"/LICEN[CS]E\b[^/]*$", str(each))]
     return file.read_text(encoding="utf-8")
-
-
-def _packages():
-    """Names and versions of the packages here that environment.txt pins."""
-    pins = (ROOT / "environment.txt").read_text(encoding="utf-8")
-    pinned = set(re.findall(r"(?m)^([A-Za-z0-9._-]+)==", pins))
-    installed = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
-    return sorted((name, installed[name]) for name in pinned & installed.keys())
 
 
 def _main():

@@ -5,16 +5,15 @@ import pandas as pd
 from notebooks.studies.statistics import AS_PRINTED, FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
 from notebooks.studies.tables import interval_texts
 
-PRINTED = f"{HOLDS} only {AS_PRINTED}"
-DEPARTURE = f"{HOLDS} only with a departure"
+PRINTED = f"{HOLDS} {AS_PRINTED}, not with every departure"
+DEPARTURE = f"{HOLDS} with a departure, not {AS_PRINTED}"
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
 
 def class_of(verdict):
     """The class of a verdict; its conditions are left out.
 
-    PRINTED: the claim holds as printed, but not under every departure. DEPARTURE: it does not hold
-    as printed, or is undecided, and holds with a departure.
+    DEPARTURE: with the text as printed the claim does not hold, is undecided, or has a lost rival.
     """
     if verdict.endswith(AS_PRINTED):
         return PRINTED

@@ -25,28 +25,29 @@ _RULES = {  # {process_noise: the rule that picks W}
     "likelihood": "by likelihood",
     "tracking": "by least tracking error",
 }
-_SHOWN = ("printed", "consistent", "likelihood")  # as columns of the table
+_FAIR = tuple(_RULES)[1:]  # by the rules that are ours
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
 _GAIN = "RHE - EKF"
 _ROWS = [  # label, whose, quantity
     ("Mean error, RHE [m]", "RHE", _ERROR),
     ("Mean error, EKF [m]", "EKF", _ERROR),
-    ("The RHE's error is the smaller: RHE − EKF [m]", _GAIN, _ERROR),
+    ("The RHE is better: RHE − EKF, mean error [m]", _GAIN, _ERROR),
     ("Violations of 0.12 m, RHE", "RHE", _VIOLATIONS),
     ("Violations of 0.12 m, EKF", "EKF", _VIOLATIONS),
-    ("The RHE violates less: RHE − EKF", _GAIN, _VIOLATIONS),
+    ("The RHE is better: RHE − EKF, violations", _GAIN, _VIOLATIONS),
 ]
 _WEIGHTS = {"Q1": "Q¹", "Q2": "Q²", "Q3": "Q³"}
 _MET = "met"
 _POSSIBLE = "possible"
 _NOT_MET = "not met"
 _LOST = "lost"
-_EKF_LOST = "the EKF is lost"
+_EKF_LOST = "EKF lost"
 _NEAR = 0.1  # a mean is near the paper's number if it is within this share of it
 LEDGER = "data/results/claims.csv"
 _SQUARES = {HOLDS: "🟩", PRINTED: "🟦", DEPARTURE: "🟦", FAILS: "🟥", UNDECIDED: "🟧"}
 _SQUARES |= {LOST: "🟪", UNTESTABLE: "⬜"}
+_SQUARES |= {_MET: "🟩", _POSSIBLE: "🟦", _NOT_MET: "🟥", _LOST: "🟪", _EKF_LOST: "🟪"}
 _PER_SQUARE = 2  # sentences
 
 
@@ -75,21 +76,12 @@ def _judged(numbers, whose, quantity, rule):
     return _POSSIBLE if row["p5"] <= row["paper"] <= row["p95"] else _NOT_MET
 
 
-def _by_word(words):
-    """{rule: word} as "met: as printed; possible: consistent"; the word alone if all agree."""
-    groups = {}
-    for rule, word in words.items():
-        groups.setdefault(word, []).append(_RULES[rule])
-    if len(groups) == 1:
-        return next(iter(groups))
-    return "; ".join(f"{word}: {', '.join(rules)}" for word, rules in groups.items())
-
-
-def paper_beside_ours(folder=RESULTS):
-    """Scenario B beside the paper: one row a quantity, one column a rule for W, and the verdict.
+def paper_beside_ours(folder=RESULTS, judged=True):
+    """Scenario B beside the paper: one row a quantity, one column a rule for W.
 
     Args:
         folder: Folder of the tables.
+        judged: Whether each number has its verdict before it, as "🟩 met: 0.0419".
 
     Returns:
         DataFrame of texts.
@@ -97,14 +89,17 @@ def paper_beside_ours(folder=RESULTS):
     numbers = _indexed(pd.read_csv(folder / "table_scenario_b.csv"))
     rows = []
     for label, whose, quantity in _ROWS:
-        found = {rule: numbers.loc[whose, quantity, rule] for rule in _SHOWN}
-        first = found[_SHOWN[0]]
-        row = {f"mean of {first['n']} fields [95 % interval]": label}
+        found = {rule: numbers.loc[whose, quantity, rule] for rule in _RULES}
+        first = found["printed"]
+        row = {f"mean of {first['n']} drives [95 % interval]": label}
         row["the paper"] = f"{first['paper']:g}"
         for rule, ours in found.items():
-            row[f"W {_RULES[rule]}"] = interval_text(ours["mean"], ours["low"], ours["high"])
-        words = {rule: _judged(numbers, whose, quantity, rule) for rule in _SHOWN}
-        rows.append(row | dict(verdict=_by_word(words)))
+            text = interval_text(ours["mean"], ours["low"], ours["high"])
+            if judged:
+                word = _judged(numbers, whose, quantity, rule)
+                text = f"{_SQUARES[word]} {word}: {text}"
+            row[f"W {_RULES[rule]}"] = text
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -117,31 +112,37 @@ def in_words(folder=RESULTS):
     Args:
         folder: Folder of the tables.
     """
-    weights = pd.read_csv(folder / "table_scenario_a.csv")
-    said = [
-        ("The weights (Scenario A)", _says_weights(weights)),
-        ("Computation times", _says_times(folder)),
-    ]
     table = pd.read_csv(folder / "table_scenario_b.csv")
-    short = f"**{in_short(table)}**\n"
-    return "\n".join([short, scenario_b_in_words(table), *map(_line, said)])
+    weights = pd.read_csv(folder / "table_scenario_a.csv")
+    lines = [
+        f"**{in_short(table)}**\n",
+        scenario_b_in_words(table),
+        scenario_a_in_words(weights),
+        _line("Does a step fit into the sample at 5 Hz?", _says_times(folder)),
+    ]
+    return "\n".join(lines)
 
 
 def in_short(table):
-    """Whether Scenario B reproduced, in one sentence.
+    """Whether Scenario B reproduced, in one line.
 
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
     numbers = _indexed(table)
-    has_error, _ = _says_rhe(numbers)
-    in_order, _ = _says_order(numbers)
+    has_error = _has_the_papers_error(numbers)
+    order = _order(numbers)
     short = "In part"
-    if has_error.startswith("yes") and in_order.startswith("yes"):
+    if has_error and order == HOLDS:
         short = "Yes"
-    elif has_error.startswith("no") and in_order.startswith("no"):
+    elif not has_error and order == FAILS:
         short = "No"
-    return f"{short}. The RHE's mean error: {has_error} The RHE before the EKF: {in_order}"
+    is_that = "is" if has_error else "is not"
+    which = {
+        HOLDS: "The RHE is better than the EKF by every rule that picks W.",
+        FAILS: "The RHE is better than the EKF by no rule that picks W.",
+    }.get(order, "Whether the RHE is better than the EKF depends on the rule that picks W.")
+    return f"{short}. The RHE's mean error {is_that} that of the paper. {which}"
 
 
 def scenario_b_in_words(table):
@@ -151,13 +152,14 @@ def scenario_b_in_words(table):
         table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
     numbers = _indexed(table)
-    said = [
-        ("The RHE's mean error", _says_rhe(numbers)),
-        ("The EKF's mean error", _says_ekf(numbers)),
-        ("RHE before EKF", _says_order(numbers)),
-        ("What decides it", _says_cause(numbers)),
-    ]
-    return "\n".join(map(_line, said))
+    said = {
+        "Is the RHE's mean error that of the paper?": _says_rhe(numbers),
+        "Does the RHE keep the tolerance, as in the paper?": _says_violations(numbers),
+        "Is the EKF's mean error that of the paper?": _says_ekf(numbers),
+        "Is the RHE better than the EKF?": _says_order(numbers),
+        "What decides which is better?": _says_cause(numbers),
+    }
+    return "\n".join(_line(question, answer) for question, answer in said.items())
 
 
 def scenario_a_in_words(table):
@@ -166,12 +168,12 @@ def scenario_a_in_words(table):
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_a_table`.
     """
-    return _line(("The weights", _says_weights(table)))
+    return _line("Do the controller's weights do what the paper says?", _says_weights(table))
 
 
-def _line(said):
-    what, (short, why) = said
-    return f"- **{what}: {short}** {why}"
+def _line(question, answer):
+    short, why = answer
+    return f"- **{question} {short}** {why}"
 
 
 def _yes_or_no(is_so):
@@ -183,61 +185,81 @@ def _said_of(verdict):
     return {HOLDS: "yes", FAILS: "no"}.get(verdict, verdict)
 
 
+def _has_the_papers_error(numbers):
+    """Whether the mean error of the RHE as printed is near the paper's."""
+    row = numbers.loc["RHE", _ERROR, "printed"]
+    return abs(row["mean"] / row["paper"] - 1) <= _NEAR
+
+
 def _says_rhe(numbers):
     """Whether the RHE as printed has the paper's error, in the mean and as one drive of many."""
     row = numbers.loc["RHE", _ERROR, "printed"]
-    off = row["mean"] / row["paper"] - 1
-    short = f"{_yes_or_no(abs(off) <= _NEAR)}."
+    off = f"{100 * (row['mean'] / row['paper'] - 1):+.1f} %".replace("-", "−")
     within = "within" if row["p5"] <= row["paper"] <= row["p95"] else "not within"
-    counts = ", ".join(
-        f"{three_digits(numbers.loc['RHE', _VIOLATIONS, rule]['mean'])} {_RULES[rule]}"
-        for rule in _SHOWN
-    )
     why = (
-        f"As printed, the mean of {row['n']} drives is {row['mean']:.4f} m "
-        f"({_signed_percent(off)}); the paper's one drive has {row['paper']:.4f} m, {within} the "
-        f"{row['p5']:.4f} to {row['p95']:.4f} m of 90 % of our drives. Its violations of the "
-        f"tolerance in a drive, of which the paper has none, are {counts}."
+        f"With W as printed it is {row['mean']:.4f} m ({off}), the mean of {row['n']} drives. The "
+        f"paper's one drive has {row['paper']:.4f} m, {within} the {row['p5']:.4f} to "
+        f"{row['p95']:.4f} m of 90 % of ours."
     )
-    return short, why
+    return f"{_yes_or_no(_has_the_papers_error(numbers)).capitalize()}.", why
+
+
+def _says_violations(numbers):
+    """Whether the RHE as printed has as few violations as in the paper."""
+    short = {_MET: "Yes.", _POSSIBLE: "In some drives."}
+    word = _judged(numbers, "RHE", _VIOLATIONS, "printed")
+    means = {rule: three_digits(numbers.loc["RHE", _VIOLATIONS, rule]["mean"]) for rule in _RULES}
+    why = (
+        f"The paper counts {paper.VIOLATIONS_RHE} violations in its drive. Ours have "
+        f"{means['printed']} in the mean with W as printed, and "
+        f"{_listed(f'{means[rule]} ({_RULES[rule]})' for rule in _FAIR)} by the other rules."
+    )
+    return short.get(word, "No."), why
 
 
 def _says_ekf(numbers):
     """Whether the EKF has the paper's error, by each rule."""
-    words = {rule: _judged(numbers, "EKF", _ERROR, rule) for rule in _SHOWN}
-    short = f"as printed: {words['printed']}."
-    said = [
-        f"{three_digits(numbers.loc['EKF', _ERROR, rule]['mean'])} m {_RULES[rule]} ({word})"
-        for rule, word in words.items()
-    ]
-    why = f"It has {', '.join(said)}; the paper {paper.MEAN_ERROR_EKF_M:.4f} m."
+    words = {rule: _judged(numbers, "EKF", _ERROR, rule) for rule in _RULES}
+    means = {rule: three_digits(numbers.loc["EKF", _ERROR, rule]["mean"]) for rule in _RULES}
+    short = f"As printed: {words['printed']}."
+    why = f"The paper has {paper.MEAN_ERROR_EKF_M:.4f} m. With W as printed it is "
     if words["printed"] == _LOST:
-        short = "not as printed."
+        short = "Not as printed."
         why += (
-            " With W as printed it loses its heading here: with that W we could not repeat the "
-            "paper's drive."
+            f"{means['printed']} m: the EKF loses its heading here, so we could not repeat the "
+            "paper's drive with that W."
         )
-    return short, why
+    else:
+        why += f"{means['printed']} m."
+    others = _listed(f"{words[rule]} ({_RULES[rule]}, {means[rule]} m)" for rule in _FAIR)
+    return short, f"{why} By the other rules the paper's number is {others}."
 
 
-def _signed_percent(share):
-    return f"{100 * share:+.1f} %".replace("-", "−")
+def _listed(texts):
+    """Texts as "a, b and c"."""
+    *others, last = texts
+    return f"{', '.join(others)} and {last}"
+
+
+def _order(numbers):
+    """Whether the RHE has the smaller mean error, by the rules with which the EKF is not lost.
+
+    The verdict by all of them, or None if they differ.
+    """
+    words = {_judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES} - {_EKF_LOST}
+    return words.pop() if len(words) == 1 else None
 
 
 def _says_order(numbers):
     """The order of the mean errors by each rule that picks W for both."""
+    short = {HOLDS: "Yes, by every rule that picks W.", FAILS: "No, by no rule that picks W."}
     words = {rule: _judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
-    fair = {word for word in words.values() if word != _EKF_LOST}
-    short = "it depends on the rule that picks W."
-    if fair == {HOLDS}:
-        short = "yes, by every rule that picks W."
-    elif fair == {FAILS}:
-        short = "no, by none of the rules that pick W."
     said = "; ".join(
-        f"{_RULES[rule]}: {word}{_pair(numbers, rule)}" for rule, word in words.items()
+        f"{_RULES[rule]}: {_said_of(word)}{_pair(numbers, rule)}" for rule, word in words.items()
     )
     gap = paper.MEAN_ERROR_EKF_M - paper.MEAN_ERROR_RHE_M
-    return short, f"{said[0].upper()}{said[1:]}. In the paper the RHE is better by {gap:.4f} m."
+    why = f"{said[0].upper()}{said[1:]}. In the paper it is better by {gap:.4f} m."
+    return short.get(_order(numbers), "It depends on the rule that picks W."), why
 
 
 def _pair(numbers, rule):
@@ -245,20 +267,21 @@ def _pair(numbers, rule):
     if _is_lost(numbers, "EKF", rule):
         return ""
     rhe, ekf = (numbers.loc[name, _ERROR, rule]["mean"] for name in ("RHE", "EKF"))
-    return f", {rhe:.4f} against {ekf:.4f} m"
+    return f" ({rhe:.4f} against {ekf:.4f} m)"
 
 
 def _says_cause(numbers):
     """Whether an EKF that knows of no slip does as well as the RHE once its W fits."""
-    best_rule = min(_SHOWN, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
+    others = [rule for rule in _RULES if rule != "tracking"]
+    best_rule = min(others, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
     best = numbers.loc["RHE", _ERROR, best_rule]["mean"]
-    rhe, ekf = (numbers.loc[name, _ERROR, "tracking"]["mean"] for name in ("RHE", "EKF"))
-    short = "perhaps the traction."
+    ekf = numbers.loc["EKF", _ERROR, "tracking"]["mean"]
+    short = "Perhaps the traction."
     if ekf < best:
         short = "W, more than the traction."
     why = (
-        f"With the W of least tracking error, with the same controller, an EKF that knows of no "
-        f"slip has {ekf:.4f} m, and the RHE {rhe:.4f} m. By the three other rules the RHE has at "
+        f"An EKF that knows of no slip has {ekf:.4f} m with the W of least tracking error and the "
+        f"same controller. By the three other rules the RHE, which estimates the traction, has at "
         f"best {best:.4f} m ({_RULES[best_rule]})."
     )
     return short, why
@@ -272,14 +295,14 @@ def _says_weights(table):
     means = {name: table.loc[(name, "mean error, true [m]"), "mean"] for name in _WEIGHTS}
     best = min(means, key=means.get)
     short = (
-        f"Q¹ slow: {_said_of(slow['verdict'])}; Q² overshoots: "
-        f"{_said_of(swings['verdict'])}; Q³ the best of the three: "
+        f"Q¹ is slow: {_said_of(slow['verdict'])}. Q² overshoots: "
+        f"{_said_of(swings['verdict'])}. Q³ is the best of the three: "
         f"{_yes_or_no(best == 'Q3')}."
     )
-    errors = ", ".join(f"{_WEIGHTS[name]} {mean:.3f} m" for name, mean in means.items())
+    errors = _listed(f"{mean:.3f} m ({_WEIGHTS[name]})" for name, mean in means.items())
     why = (
-        f"Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to settle, Q² overshoots "
-        f"{three_digits(swings['mean'])} times as far as Q³; mean errors {errors}."
+        f"Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to settle, and Q² overshoots "
+        f"{three_digits(swings['mean'])} times as far as Q³. The mean errors are {errors}."
     )
     return short, why
 
@@ -287,7 +310,7 @@ def _says_weights(table):
 def _says_times(folder):
     """What the ledger says of the paper's times."""
     verdicts = pd.read_csv(folder / "claims.csv").set_index("id")["verdict"]
-    short = f"real time at 5 Hz: {_said_of(verdicts['T7'])}."
+    short = f"{_said_of(verdicts['T7']).capitalize()}."
     why = f"The paper's {paper.STEP_MEAN_MS} ms a step on a Raspberry Pi 3: {verdicts['T1']}."
     return short, why
 

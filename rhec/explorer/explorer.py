@@ -6,11 +6,8 @@ value of a widget only after the reply to the last one, so that dragging skips f
 queueing them.
 """
 
-import base64
 import functools
-import io
 import math
-import os
 import re
 import threading
 import time
@@ -387,16 +384,8 @@ class Explorer(widgets.VBox):
         self._show_status(f"saved under the name {name} in {folder}: {files}")
 
     def _repr_mimebundle_(self, **formats):
-        """Add the table as HTML, for pages without widgets, and in executed notebooks the picture.
-
-        Where somebody waits for the widgets, Matplotlib's picture would take a second more.
-        """
-        picture = f"<p>{_NO_WIDGETS}</p>"
-        if os.environ.get("RHEC_UNATTENDED"):
-            self.figure().savefig(file := io.BytesIO(), format="png")
-            png = base64.b64encode(file.getvalue()).decode()
-            picture = f'<img alt="field run" src="data:image/png;base64,{png}">'
-        html = f"{picture}{self.screen.table}"
+        """Add the table as HTML, for pages without widgets."""
+        html = f"<p>{_NO_WIDGETS}</p>{self.screen.table}"
         html = f'<style>\n{CSS}</style><div class="rhec">{html}</div>'
         return super()._repr_mimebundle_(**formats) | {"text/html": html}
 

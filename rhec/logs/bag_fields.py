@@ -30,24 +30,21 @@ class Field(NamedTuple):
         """
         value = message
         for name, place in _STEP.findall(self.path):
-            if name:
-                if not hasattr(value, name):
-                    raise ValueError(self._refused(f"has no {name!r} there: {_contents(value)}"))
-                value = getattr(value, name)
-                continue
-            if not _is_array(value):
-                raise ValueError(self._refused(f"has no array there: {_contents(value)}"))
-            if not -len(value) <= int(place) < len(value):
+            try:
+                value = getattr(value, name) if name else value[int(place)]
+            except IndexError:
                 return np.nan
-            value = value[int(place)]
+            except (AttributeError, TypeError):
+                lacks = f"has no {repr(name) if name else 'array'} there"
+                raise ValueError(self._refused(lacks, value)) from None
         number = _number(value)
         if number is None:
-            raise ValueError(self._refused(f"is no number: {_contents(value)}"))
+            raise ValueError(self._refused("is no number", value))
         return number
 
-    def _refused(self, problem):
+    def _refused(self, problem, value):
         named = f"columns[{self.column!r}] was {self.topic + self.path!r}"
-        return f"{named}; a {self.msgtype} {problem}"
+        return f"{named}; a {self.msgtype} {problem}: {_contents(value)}"
 
 
 def fields_of(columns: dict[str, str], types: dict[str, str]) -> list[Field]:
@@ -62,27 +59,21 @@ def fields_of(columns: dict[str, str], types: dict[str, str]) -> list[Field]:
     """
     fields = []
     for column, path in columns.items():
-        topics = [name for name in types if re.match(re.escape(name) + r"[.\[]", path)]
-        if not topics:
-            if path.startswith("/"):
-                raise ValueError(
-                    f"columns[{column!r}] was {path!r}; it should begin with a topic and a point, "
-                    f"and the bag has {listed(types)}"
-                )
-            continue
-        topic = max(topics, key=len)
+        topics = [name for name in types if path.startswith((f"{name}.", f"{name}["))]
+        topic = max(topics, key=len, default="")
         rest = path[len(topic) :]
-        if not re.fullmatch(f"({_STEP.pattern})+", rest):
-            raise ValueError(
-                f"columns[{column!r}] was {path!r}; after the topic it should have fields and "
-                "places in arrays, such as .pose.position.x or .velocity[0]"
-            )
-        if column == "t_s":
-            raise ValueError(
-                f"columns['t_s'] was {path!r}; the time of a bag's rows is that of the headers of "
-                "its messages, or else of their reception"
-            )
-        fields.append(Field(column, topic, rest, types[topic]))
+        if not topic and not path.startswith("/"):
+            continue
+        if not topic:
+            wanted = f"begin with a topic and a point, and the bag has {listed(types)}"
+        elif not re.fullmatch(f"({_STEP.pattern})+", rest):
+            wanted = "end in fields and places in arrays, such as .pose.position.x or .velocity[0]"
+        elif column == "t_s":
+            wanted = "not be given: the time of a bag's rows is that of its messages"
+        else:
+            fields.append(Field(column, topic, rest, types[topic]))
+            continue
+        raise ValueError(f"columns[{column!r}] was {path!r}; it should {wanted}")
     return fields
 
 
@@ -91,10 +82,6 @@ def listed(types: dict[str, str]) -> str:
     texts = [f"{name} ({kind})" for name, kind in types.items()]
     more = [f"{len(texts) - _LONGEST} more"] if len(texts) > _LONGEST else []
     return ", ".join([*texts[:_LONGEST], *more]) or "none"
-
-
-def _is_array(value):
-    return isinstance(value, list | tuple | np.ndarray)
 
 
 def _number(value):
@@ -116,7 +103,7 @@ def _names(value):
 
 def _contents(value):
     """What there is instead, as the end of a sentence."""
-    if _is_array(value):
+    if isinstance(value, list | tuple | np.ndarray):
         return f"an array of {len(value)}, of which [0] is the first entry"
     names = _names(value)
     return f"it has {', '.join(names[:_LONGEST])}" if names else f"it is a {type(value).__name__}"

@@ -20,69 +20,53 @@ def stamp_ns(message: Any) -> int:
 
 
 class Frames:
-    """The newest transforms of a bag: {frame: (parent, R (3, 3), t (3,))}."""
+    """The newest transforms of a bag, as matrices T (4, 4) = [[R, t], [0, 1]]."""
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
+        self._parents: dict[str, tuple[str, np.ndarray]] = {}  # {frame: (its parent, T)}
 
     def __str__(self) -> str:
-        return ", ".join(f"{above} → {frame}" for frame, (above, *_) in self._parents.items())
+        return ", ".join(f"{above} → {frame}" for frame, (above, _) in self._parents.items())
 
     def add(self, message: Any) -> None:
         """Take the transforms of a TFMessage."""
         for each in message.transforms:
             q = each.transform.rotation
             turn = np.array([q.x, q.y, q.z, q.w])
-            R = Rotation.from_quat(turn).as_matrix() if turn.any() else np.eye(3)
-            t = each.transform.translation
-            place = np.array([t.x, t.y, t.z])
-            self._parents[_plain(each.child_frame_id)] = (_plain(each.header.frame_id), R, place)
+            place = each.transform.translation
+            T = np.eye(4)
+            if turn.any():
+                T[:3, :3] = Rotation.from_quat(turn).as_matrix()
+            T[:3, 3] = place.x, place.y, place.z
+            self._parents[_plain(each.child_frame_id)] = (_plain(each.header.frame_id), T)
 
     @property
     def base(self) -> str | None:
         """The frame of the robot: base_link or base_footprint, with or without a prefix."""
-        frames = {*self._parents, *(parent for parent, *_ in self._parents.values())}
+        frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
         for name in _BASES:
             named = [frame for frame in frames if frame.rsplit("/", 1)[-1] == name]
             if named:
                 return min(named, key=len)
         return None
 
-    def _above(self, frame):
-        """{ancestor: (R, t) of the frame in it}, of the frame itself first."""
-        R = np.eye(3)
-        t = np.zeros(3)
-        above = {frame: (R, t)}
-        while frame in self._parents:
-            frame, R_parent, t_parent = self._parents[frame]
-            if frame in above:  # transforms in a circle
-                break
-            R = R_parent @ R
-            t = R_parent @ t + t_parent
-            above[frame] = (R, t)
-        return above
+    def _in_root(self, frame):
+        """The root of a frame's tree, and T of the frame in it."""
+        T = np.eye(4)
+        seen = set()
+        while frame in self._parents and frame not in seen:  # transforms may go in a circle
+            seen.add(frame)
+            frame, T_parent = self._parents[frame]
+            T = T_parent @ T
+        return frame, T
 
-    def pose_in(self, parent: str, frame: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """Rotation and place of a frame in another one above it; None if there is no way up."""
-        return self._above(_plain(frame)).get(_plain(parent))
-
-    def pose(self, frame: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """Rotation R (3, 3) and place t (3,) [m] of a frame in the base; None if unknown.
-
-        With the poses (R_f, t_f) of the frame and (R_b, t_b) of the base in a common ancestor,
-
-            R = R_b' R_f,  t = R_b' (t_f - t_b).
-        """
-        if self.base is None:
+    def pose(self, parent: str | None, frame: str) -> np.ndarray | None:
+        """T (4, 4) of a frame in another one, T = T_parent⁻¹ T_frame; None if it is unknown."""
+        if parent is None:
             return None
-        of_frame = self._above(_plain(frame))
-        of_base = self._above(self.base)
-        common = next((name for name in of_frame if name in of_base), None)
-        if common is None:
-            return None
-        R_f, t_f = of_frame[common]
-        R_b, t_b = of_base[common]
-        return R_b.T @ R_f, R_b.T @ (t_f - t_b)
+        root, T_frame = self._in_root(_plain(frame))
+        root_of_parent, T_parent = self._in_root(_plain(parent))
+        return np.linalg.solve(T_parent, T_frame) if root == root_of_parent else None
 
 
 def moved(frames: Frames, named: tuple[str, str], message: Any) -> list[tuple[int, list]]:
@@ -96,8 +80,8 @@ def moved(frames: Frames, named: tuple[str, str], message: Any) -> list[tuple[in
         named: The frame in which the robot is, and that of the robot.
         message: A TFMessage.
     """
-    pose = frames.pose_in(*named)
+    T = frames.pose(*named)
     moves = [
         each for each in message.transforms if _plain(each.header.frame_id) == _plain(named[0])
     ]
-    return [(stamp_ns(each), [*pose[1][:2]]) for each in moves] if pose else []
+    return [] if T is None else [(stamp_ns(each), [*T[:2, 3]]) for each in moves]

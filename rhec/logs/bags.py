@@ -3,15 +3,16 @@
 import re
 import shlex
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from rhec.logs import bag_frames
 from rhec.logs.bag_fields import fields_of, listed
-from rhec.logs.bag_files import files_of, opened
+from rhec.logs.bag_files import files_of, messages, opened
 from rhec.simulation.columns import TRACKS
 
 MOST_VALUES = 20_000_000  # of a log; more would take minutes and gigabytes
@@ -74,32 +75,27 @@ def _imu(message):
     return rate.x, rate.y, rate.z, force.x, force.y, force.z
 
 
-class _Source(NamedTuple):
-    """The columns that a type of message fills, and the function that reads their values."""
-
-    columns: list
-    values: Callable
-
-
-# The message types of each role, in order of preference: the first one in the bag is read.
+# The message types of each role, in order of preference: the first one in the bag is read. A type
+# has the columns that it fills, and the function that reads their values.
 _ROLES = {
     "positions": {
-        "sensor_msgs/msg/NavSatFix": _Source(
-            ["latitude", "longitude", "altitude", "position_sigma_m"], _fix
+        "sensor_msgs/msg/NavSatFix": (
+            ["latitude", "longitude", "altitude", "position_sigma_m"],
+            _fix,
         ),
-        "geometry_msgs/msg/PoseStamped": _Source(_POSITION, _position),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": _Source(_POSITION, _position),
-        "nav_msgs/msg/Odometry": _Source(_POSITION, _position),
+        "geometry_msgs/msg/PoseStamped": (_POSITION, _position),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": (_POSITION, _position),
+        "nav_msgs/msg/Odometry": (_POSITION, _position),
     },
     "encoders": {
-        "sensor_msgs/msg/JointState": _Source(TRACKS, _wheels),
-        "geometry_msgs/msg/TwistStamped": _Source(_SPEEDS, _twist),
-        "nav_msgs/msg/Odometry": _Source(_SPEEDS, _twist),
+        "sensor_msgs/msg/JointState": (TRACKS, _wheels),
+        "geometry_msgs/msg/TwistStamped": (_SPEEDS, _twist),
+        "nav_msgs/msg/Odometry": (_SPEEDS, _twist),
     },
-    "gyro": {"sensor_msgs/msg/Imu": _Source([*"abcdef"], _imu)},
+    "gyro": {"sensor_msgs/msg/Imu": ([*"abcdef"], _imu)},
 }
 _OPTIONAL = ("gyro",)
-_OF_TRANSFORMS = _Source(_POSITION[:2], None)  # which one message does not tell
+_OF_TRANSFORMS = (_POSITION[:2], None)  # which one message does not tell
 # The columns of which any pair, given as fields, fills a role.
 _FILLED_BY = {
     "positions": (_POSITION[:2], ["latitude", "longitude"]),
@@ -112,14 +108,31 @@ _SAME_AXIS = np.cos(np.deg2rad(30.0))  # of an axis by /tf_static and of one by 
 _FIELDS_HELP = "columns={'x_m': '/topic.field', …} reads fields of any type"
 
 
-class _Reading(NamedTuple):
+@dataclass
+class _Reading:
     """What is read from the messages of a topic."""
 
     name: str  # a role, or the columns that fields fill
     topic: str
-    msgtype: str
     columns: list
-    values: Callable  # message -> the values of the columns
+    values: Callable | None  # message -> the values of the columns
+    stamps_ns: list = field(default_factory=list)
+    rows: list = field(default_factory=list)  # the values of each message
+    n_by_header: int = 0  # how many of the stamps are those of headers
+    frame: str = ""  # in which the sensor measures, by its first message
+
+    def take(self, stamp_ns, received_ns, row):
+        """Append the values of a message, at the time in its header if there is one."""
+        self.stamps_ns.append(stamp_ns or received_ns)
+        self.n_by_header += stamp_ns > 0
+        self.rows.append(row)
+
+    def table(self, wheel_radius_m):
+        """The values as a table, indexed by time [ns]."""
+        table = pd.DataFrame(self.rows, self.stamps_ns, self.columns, dtype=float)
+        if wheel_radius_m is not None:
+            table[table.columns.intersection(TRACKS)] *= wheel_radius_m
+        return table
 
 
 # How its topics are chosen
@@ -150,23 +163,21 @@ def _topic_of_transforms(types, frames):
     raise ValueError(f"frames was {frames!r}; the bag has no /tf among {listed(types)}")
 
 
-def _refuse_own_positions(chosen):
-    """Raise a ValueError for positions that were made of the encoders."""
-    topic = chosen.get("positions", "")
-    if topic and topic == chosen.get("encoders"):
+def _refuse_chosen(types, chosen, are_named, wheel_radius_m):
+    """Raise a ValueError for positions made of the encoders, and for wheels of unknown radius."""
+    positions = chosen.get("positions", "")
+    encoders = chosen.get("encoders", "")
+    only = f"the bag's only positions are those of {positions}"
+    if positions and positions == encoders and not are_named:
         raise ValueError(
-            f"the bag's only positions are those of {topic}, which are the integral of its own "
-            f"speeds; record a receiver, or topics=({topic!r},) reads them as real positions"
+            f"{only}, which are the integral of its own speeds; record a receiver, or "
+            f"topics=({positions!r},) reads them as real positions"
         )
-    if _FILTERED in topic:
+    if _FILTERED in positions and not are_named:
         raise ValueError(
-            f"the bag's only positions are those of {topic}, an estimate that has seen the "
-            "encoders; record its receiver, or name topics if these are real positions"
+            f"{only}, an estimate that has seen the encoders; record its receiver, or name topics "
+            "if these are real positions"
         )
-
-
-def _refuse_without_radius(types, chosen, wheel_radius_m):
-    encoders = chosen.get("encoders")
     if encoders and types[encoders].endswith("JointState") and wheel_radius_m is None:
         raise ValueError(
             f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s, which need the "
@@ -183,7 +194,7 @@ def _choose(types, topics, frames, fields, wheel_radius_m):
     unknown = [name for name in topics or () if name not in types]
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
-    given = {field.column for field in fields}
+    given = {each.column for each in fields}
     chosen = {}
     remarks = {}
     for role, filling in _FILLED_BY.items():
@@ -196,9 +207,7 @@ def _choose(types, topics, frames, fields, wheel_radius_m):
             continue
         try:
             chosen[role] = _topic_for(types, topics, role)
-            if topics is None:
-                _refuse_own_positions(chosen)
-            _refuse_without_radius(types, chosen, wheel_radius_m)
+            _refuse_chosen(types, chosen, topics is not None, wheel_radius_m)
         except ValueError as refused:
             if not fields and role not in _OPTIONAL:
                 raise
@@ -211,168 +220,141 @@ def _readings(types, chosen, fields):
     """The _Readings of {role: topic} and of the fields."""
     readings = []
     for role, topic in chosen.items():
-        kind = types[topic]
-        source = _OF_TRANSFORMS if kind == bag_frames.TYPE else _ROLES[role][kind]
-        readings.append(_Reading(role, topic, types[topic], source.columns, source.values))
-    for topic in dict.fromkeys(field.topic for field in fields):
-        of_topic = [field for field in fields if field.topic == topic]
-        columns = [field.column for field in of_topic]
-        values = _values_of(of_topic)
-        readings.append(_Reading(", ".join(columns), topic, types[topic], columns, values))
+        of_frames = types[topic] == bag_frames.TYPE
+        source = _OF_TRANSFORMS if of_frames else _ROLES[role][types[topic]]
+        readings.append(_Reading(role, topic, *source))
+    for topic in dict.fromkeys(each.topic for each in fields):
+        of_topic = [each for each in fields if each.topic == topic]
+        columns = [each.column for each in of_topic]
+        readings.append(_Reading(", ".join(columns), topic, columns, partial(_values_of, of_topic)))
     return readings
 
 
-def _values_of(fields):
-    """The function message -> values of these fields."""
-    return lambda message: [field.value(message) for field in fields]
+def _values_of(fields, message):
+    """The values of fields of a message."""
+    return [each.value(message) for each in fields]
 
 
 # How its messages are read
 
 
-class _Messages(NamedTuple):
-    """The messages of a bag."""
-
-    stamps_ns: dict  # {name of a reading: [time stamps]}
-    by_header: dict  # {name of a reading: how many of these are of headers}
-    values: dict  # {name of a reading: [values]}
-    sensor_frames: dict  # {name of a reading: frame of its first message}
-    frames: bag_frames.Frames
-
-
 def _frame(message):
     """The frame in which a sensor measures; of a pose it is that of the body."""
-    header = getattr(message, "header", None)
     if hasattr(message, "pose"):
         return getattr(message, "child_frame_id", "")
-    return getattr(header, "frame_id", "")
+    return getattr(getattr(message, "header", None), "frame_id", "")
 
 
-def _messages(bag, readings, named):
-    """The _Messages of the readings, from an open bag, with the frames that a user named."""
-    names = [reading.name for reading in readings]
-    messages = _Messages(
-        {name: [] for name in names},
-        dict.fromkeys(names, 0),
-        {name: [] for name in names},
-        {},
-        bag_frames.Frames(),
-    )
-    static = {name for name, kind in bag.types.items() if kind == bag_frames.TYPE}
-    static = {name for name in static if name.endswith("static")}
+def _take_messages(bag, types, readings, named):
+    """Fill the readings from an open bag, and return its Frames.
+
+    Args:
+        bag: As of `opened`.
+        types: {topic: type of its messages}.
+        readings: The _Readings.
+        named: The frames that a user names, or None.
+    """
+    frames = bag_frames.Frames()
+    of_transforms = {name for name, kind in types.items() if kind == bag_frames.TYPE}
+    static = {name for name in of_transforms if name.endswith("static")}
     topics = {reading.topic for reading in readings}
     n_values = 0
-    for topic, received_ns, message in bag.messages(topics | static):
-        if topic in static:
-            messages.frames.add(message)
-            continue
-        if named and bag.types[topic] == bag_frames.TYPE:
-            messages.frames.add(message)
-            for stamp_ns, place in bag_frames.moved(messages.frames, named, message):
-                messages.stamps_ns["positions"].append(stamp_ns or received_ns)
-                messages.by_header["positions"] += stamp_ns > 0
-                messages.values["positions"].append(place)
-            messages.sensor_frames["positions"] = named[1]
-            continue
+    for topic, received_ns, message in messages(bag, topics | static):
+        is_transform = topic in static or (named and topic in of_transforms)
+        if is_transform:
+            frames.add(message)
         for reading in readings:
-            if reading.topic == topic:  # an Odometry may have several roles
-                stamp_ns = bag_frames.stamp_ns(message)
-                messages.stamps_ns[reading.name].append(stamp_ns or received_ns)
-                messages.by_header[reading.name] += stamp_ns > 0
-                messages.values[reading.name].append(reading.values(message))
-                messages.sensor_frames.setdefault(reading.name, _frame(message))
-                n_values += len(reading.columns)
+            if reading.topic != topic or topic in static:
+                continue  # an Odometry may have several roles
+            if is_transform:
+                reading.frame = named[1]
+                for stamp_ns, place in bag_frames.moved(frames, named, message):
+                    reading.take(stamp_ns, received_ns, place)
+            else:
+                reading.frame = reading.frame or _frame(message)
+                reading.take(bag_frames.stamp_ns(message), received_ns, reading.values(message))
+            n_values += len(reading.columns)
         if n_values > MOST_VALUES:
             raise ValueError(f"its topics have more than {MOST_VALUES} values")
-    if named and not messages.values.get("positions", True):
-        raise ValueError(f"frames was {named!r}; the bag has {messages.frames}")
-    return messages
+    return frames
 
 
-def _read(bag, topics, frames, columns, wheel_radius_m):
+def _read(bag, topics, named, columns, wheel_radius_m):
     """The table of an open bag, with the columns of fields in its attrs, and what was inferred."""
-    fields = fields_of(columns, bag.types)
-    chosen, inferred = _choose(bag.types, topics, frames, fields, wheel_radius_m)
-    readings = _readings(bag.types, chosen, fields)
-    messages = _messages(bag, readings, frames)
-    tables = []
+    types = {name: topic.msgtype or "" for name, topic in bag.topics.items()}
+    fields = fields_of(columns, types)
+    chosen, inferred = _choose(types, topics, named, fields, wheel_radius_m)
+    readings = _readings(types, chosen, fields)
+    frames = _take_messages(bag, types, readings, named)
+    table = pd.DataFrame()
+    lever_arm_m = None
     for reading in readings:
-        table, told = _table(reading, messages, wheel_radius_m)
-        inferred[reading.name] = f"{reading.topic}, {reading.msgtype}, {told}"
-        tables.append(table[~table.index.duplicated()].sort_index())
-    table = tables[0]
-    for other in tables[1:]:
-        table = table.join(other, how="outer")
+        read = reading.table(wheel_radius_m)
+        told = _told(reading, types[reading.topic])
+        if reading.name == "gyro":
+            read, axis = _about_vertical(read, frames, reading.frame)
+            told += f", {axis}"
+        if reading.name == "positions":
+            if named and not len(read):
+                raise ValueError(f"frames was {named!r}; the bag has {frames}")
+            lever_arm_m = frames.pose(frames.base, reading.frame)
+        inferred[reading.name] = told
+        table = table.join(read[~read.index.duplicated()], how="outer")
     if not len(table):
         raise ValueError(f"no message on {', '.join(each.topic for each in readings)}")
     if "position_sigma_m" in table and table["position_sigma_m"].isna().all():
         table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
     table = table.reset_index(drop=True)
-    _add_lever_arm(table, messages, inferred)
-    table.attrs["fields"] = [field.column for field in fields]
-    unread = {name: kind for name, kind in bag.types.items() if name not in _topics_of(readings)}
+    if lever_arm_m is not None:
+        ahead, left = table.attrs["lever_arm_m"] = tuple(lever_arm_m[:2, 3].tolist())
+        where = f"{ahead:.3f} m ahead, {left:.3f} m left of {frames.base}, by /tf_static"
+        inferred["lever arm"] = where
+    table.attrs["fields"] = [each.column for each in fields]
+    read_topics = {reading.topic for reading in readings}
+    unread = {name: kind for name, kind in types.items() if name not in read_topics}
     if unread:
         inferred["other topics"] = listed(unread)
     return table, inferred
 
 
-def _topics_of(readings):
-    return {reading.topic for reading in readings}
-
-
-def _table(reading, messages, wheel_radius_m):
-    """The table of a reading, indexed by time [ns], and what it consists of, as text."""
-    stamps_ns = messages.stamps_ns[reading.name]
-    values = messages.values[reading.name]
-    table = pd.DataFrame(values, index=stamps_ns, columns=reading.columns, dtype=float)
-    disorder = int((np.diff(table.index) < 0).sum())
-    told = f"{len(table)} messages, {disorder} out of order"
+def _told(reading, msgtype):
+    """What a reading consists of, as text."""
+    n = len(reading.rows)
+    disorder = int((np.diff(reading.stamps_ns) < 0).sum())
     clock = "the headers"
-    if messages.by_header[reading.name] < len(table):
+    if reading.n_by_header < n:
         clock = "the recorder, because headers have no stamp"
-    told += f", times by {clock}"
-    if wheel_radius_m is not None:
-        tracks = [name for name in TRACKS if name in table]
-        table[tracks] *= wheel_radius_m
-    if reading.name == "gyro":
-        rate, axis = _about_vertical(table, messages)
-        table = pd.DataFrame(dict(gyro_radps=rate), index=table.index)
-        told += f", {axis}"
-    return table, told
+    return f"{reading.topic}, {msgtype}, {n} messages, {disorder} out of order, times by {clock}"
 
 
 # Where its sensors are
 
 
-def _about_vertical(table, messages):
+def _agree(up, force):
+    """Whether an axis is that of gravity, which some sensors count downwards."""
+    return abs(up @ force) >= _SAME_AXIS * np.linalg.norm(force)
+
+
+def _about_vertical(table, frames, frame):
     """The yaw rate about the vertical in a table of `_imu`, and how its axis was found."""
-    rate = table.to_numpy()[:, :3]
+    rates = table.to_numpy()[:, :3]
     force = np.nanmean(table.to_numpy()[:, 3:], axis=0)
     size = float(np.linalg.norm(force))
     measures_gravity = _GRAVITY[0] < size < _GRAVITY[1]
-    pose = messages.frames.pose(messages.sensor_frames["gyro"])
-    if pose is not None:
-        up = pose[0][2]
-        if not measures_gravity or abs(up @ force) >= _SAME_AXIS * size:
-            return rate @ up, f"about the z axis of {messages.frames.base} by /tf_static"
-    if not measures_gravity:
-        return rate[:, 2], "about its z axis, because it measures no gravity"
-    up = force / size
-    axis = ", ".join(f"{entry:.2f}" for entry in up)
-    against = "" if pose is None else ", which contradicts /tf_static"
-    return rate @ up, f"about the vertical by gravity, ({axis}) in its axes{against}"
-
-
-def _add_lever_arm(table, messages, inferred):
-    """Note the place of the antenna in the robot's frame, if the bag has transforms to it."""
-    pose = messages.frames.pose(messages.sensor_frames.get("positions", ""))
-    if pose is None:
-        return
-    ahead, left = map(float, pose[1][:2])
-    table.attrs["lever_arm_m"] = (ahead, left)
-    base = messages.frames.base
-    inferred["lever arm"] = f"{ahead:.3f} m ahead, {left:.3f} m left of {base}, by /tf_static"
+    pose = frames.pose(frames.base, frame)
+    if pose is not None and (not measures_gravity or _agree(pose[2, :3], force)):
+        up = pose[2, :3]
+        told = f"about the z axis of {frames.base} by /tf_static"
+    elif measures_gravity:
+        up = force / size
+        axis = ", ".join(f"{entry:.2f}" for entry in up)
+        against = "" if pose is None else ", which contradicts /tf_static"
+        told = f"about the vertical by gravity, ({axis}) in its axes{against}"
+    else:
+        up = np.array([0.0, 0.0, 1.0])
+        told = "about its z axis, because it measures no gravity"
+    return pd.DataFrame(dict(gyro_radps=rates @ up), index=table.index), told
 
 
 # Files

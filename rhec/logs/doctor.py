@@ -1,8 +1,7 @@
 """What is wrong with a recorded log, all at once, and what to do about it.
 
-`rhec.replay` refuses a log for its first error. The doctor goes on and lists all that it finds:
-rates, dropouts, clock, units, signs and scale of the encoders, noise as declared and as
-measured, and what the robot would have to drive for the rest to be known.
+`rhec.replay` refuses a log for its first error. The doctor goes on and lists all that
+`rhec.logs.checks` finds.
 
     rhec doctor FILE [--json]
 

@@ -23,9 +23,17 @@ class Finding(NamedTuple):
     @property
     def sentence(self) -> str:
         """The fact as a sentence."""
-        return f"{self.fact[0].upper()}{self.fact[1:]}."
+        end = "" if self.fact.endswith("?") else "."
+        return f"{self.fact[0].upper()}{self.fact[1:]}{end}"
 
 
-def refused(fact: str, code: str = "implausible") -> Finding:
+def note(code: str, fact: str, remedy: str) -> Finding:
+    """The Finding of something that does not keep the log from being used."""
+    return Finding(Severity.NOTE, code, fact, remedy)
+
+
+def refused(
+    fact: str, code: str = "implausible", remedy: str = "Correct it where the log is read."
+) -> Finding:
     """The Finding of a log that cannot be used, or of a column that is not what its name says."""
-    return Finding(Severity.ERROR, code, fact, "Correct it where the log is read.")
+    return Finding(Severity.ERROR, code, fact, remedy)

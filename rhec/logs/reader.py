@@ -22,7 +22,6 @@ from rhec.logs.bags import MOST_VALUES, read_bag
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
-_MOST_COLUMNS = 10_000
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
@@ -87,17 +86,8 @@ def read(
         ValueError: If the file cannot be read, or if it lacks the topics or columns. For a bag that
             was cut off it names the command that may repair it.
     """
-    if not isinstance(path, str | Path):
-        raise ValueError(f"log was {shown(path)}; it should be a path")
-    file = Path(path)
-    if not _is_path(file):
-        raise ValueError(f"log was {shown(path)}; it cannot be a path")
-    is_bag = file.suffix in SUFFIXES or file.is_dir() and bool(files_of(file))
-    if not (is_bag and file.exists() or file.suffix in (".csv", ".parquet") and file.is_file()):
-        raise ValueError(
-            f"log was {str(file)!r}; it should be an existing .csv, .parquet, "
-            f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
-        )
+    file = _checked_path(path)
+    is_bag = file.suffix in SUFFIXES or file.is_dir()
     for name, given in (("topics", topics), ("frames", frames)):
         if given is not None and not is_bag:
             raise ValueError(
@@ -109,30 +99,43 @@ def read(
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
-            log = _read_parquet(file)
-            log.attrs.pop("lever_arm_m", None)  # of a replay, which the file may bring along
-            inferred = {}
+            log, inferred = _read_parquet(file)
     except Exception as error:  # any error that a reader raises for a broken file
         problem = _printable(shorten(str(error), _LONGEST_PROBLEM, placeholder=" …"))
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
     # What a file says is shown to people, on terminals that would obey it.
     log.columns = [_printable(str(name)) for name in log]
     inferred = {name: _printable(value) for name, value in inferred.items()}
-    read = log.attrs.pop("fields", []) if is_bag else []
+    read = log.attrs.pop("fields", [])
     for name, column in (columns or {}).items():
         if name in read:
             continue
         if column not in log:
-            raise ValueError(
-                f"columns[{name!r}] was {column!r}; the log has {', '.join(map(str, log))}"
-            )
+            raise ValueError(f"columns[{name!r}] was {column!r}; the log has {', '.join(log)}")
         log[name] = log[column]
-    log = _in_seconds(log, inferred)
-    log = _in_metres(log, inferred)
+    log = _in_metres(_in_seconds(log, inferred), inferred)
     if wheel_separation_multiplier is not None:
         log = _without_multiplier(log, wheel_separation_multiplier, inferred)
     log.attrs["inferred"] = inferred
     return log
+
+
+def _checked_path(path):
+    """The Path of a file or folder that may be a log."""
+    if not isinstance(path, str | Path):
+        raise ValueError(f"log was {shown(path)}; it should be a path")
+    file = Path(path)
+    try:
+        is_log = file.suffix in (".csv", ".parquet", *SUFFIXES) and file.is_file()
+        is_log = is_log or file.is_dir() and bool(files_of(file))
+    except (OSError, ValueError):  # thousands of letters, or a NUL
+        raise ValueError(f"log was {shown(path)}; it cannot be a path") from None
+    if not is_log:
+        raise ValueError(
+            f"log was {str(file)!r}; it should be an existing .csv, .parquet, "
+            f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
+        )
+    return file
 
 
 def _without_multiplier(log, multiplier, inferred):
@@ -160,15 +163,6 @@ def _printable(text):
     )
 
 
-def _is_path(file):
-    """Whether the system takes this as a path at all: not with a NUL or thousands of letters."""
-    try:
-        file.exists()
-    except (OSError, ValueError):
-        return False
-    return True
-
-
 def _read_csv(file):
     """The table in a .csv file, and its separators as {property: inferred value}."""
     with file.open("rb") as begin:
@@ -182,10 +176,9 @@ def _read_csv(file):
     separator = next((mark for mark in _SEPARATORS if mark in names), ",")
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
     decimal = "," if separator != "," and has_commas else "."
-    has_header = not all(_is_number(name) for name in names.split(separator))
+    first = pd.to_numeric(pd.Series(names.split(separator)), errors="coerce")
+    has_header = first.isna().any()
     n_columns = max((line.count(separator) for line in head), default=0) + 1
-    if n_columns > _MOST_COLUMNS:
-        raise ValueError(f"it has {n_columns} columns, and should have at most {_MOST_COLUMNS}")
     most_rows = MOST_VALUES // n_columns
     try:
         with warnings.catch_warnings():
@@ -222,23 +215,17 @@ def _read_csv(file):
     return table, inferred
 
 
-def _is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _read_parquet(file):
-    """The table in a .parquet file, unless unpacking it would fill the memory."""
+    """The table in a .parquet file, unless unpacking it would fill the memory, and {}."""
     import pyarrow.parquet as pq  # only some have it
 
     metadata = pq.read_metadata(file)
     n_values = metadata.num_rows * metadata.num_columns
     if n_values > MOST_VALUES:
         raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
-    return pd.read_parquet(file, engine="pyarrow")
+    table = pd.read_parquet(file, engine="pyarrow")
+    table.attrs.clear()  # of a replay, which the file may bring along
+    return table, {}
 
 
 def _in_seconds(log, inferred):
@@ -284,23 +271,19 @@ def _unit(name, times):
     return unit or "s"
 
 
-def _degrees(log, names):
-    """The first column with one of these names as an array; None if the log has no such column."""
+def _angle(log, names, largest):
+    """The first column with one of these names [deg], as an array; None without such a column."""
     column = next((column for column in log if str(column).lower() in names), None)
     if column is None:
         return None
-    return pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
-
-
-def _refuse_other_angles(angle, largest):
-    """Raise a ValueError for latitudes or longitudes that are not in degrees."""
-    size = np.nanmedian(np.abs(angle)) if np.isfinite(angle).any() else 0.0
+    angle = pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
+    size = pd.Series(angle).abs().median()
     if size > largest:
-        name = "latitude" if largest == 90 else "longitude"
         raise ValueError(
-            f"the log's {name} is {size:.7g} (median); it may be in degrees and minutes or in "
+            f"the log's {names[0]} is {size:.7g} (median); it may be in degrees and minutes or in "
             f"1e-7 degrees and should be in degrees, at most {largest}"
         )
+    return angle
 
 
 def _in_metres(log, inferred):
@@ -308,28 +291,24 @@ def _in_metres(log, inferred):
 
     A log with x_m, or without latitude and longitude, is returned unchanged.
     """
-    log.attrs.pop("origin", None)  # a .parquet file may bring one of its own
     if "x_m" in log:
         return log
-    latitude = _degrees(log, _LATITUDE)
-    longitude = _degrees(log, _LONGITUDE)
-    altitude = _degrees(log, _ALTITUDE)
+    latitude = _angle(log, _LATITUDE, 90)
+    longitude = _angle(log, _LONGITUDE, 180)
     if latitude is None or longitude is None:
         return log
-    _refuse_other_angles(latitude, 90)
-    _refuse_other_angles(longitude, 180)
     # A receiver without a fix sends 0, 0.
     latitude = np.where((latitude == 0) & (longitude == 0), np.nan, latitude)
-    first = np.argmax(np.isfinite(latitude + longitude))
-    if np.isfinite(latitude[first] + longitude[first]):
-        height_m = 0.0 if altitude is None else np.nan_to_num(altitude[first])
-        log.attrs["origin"] = (float(latitude[first]), float(longitude[first]), float(height_m))
+    altitude = _angle(log, _ALTITUDE, np.inf)
+    height_m = np.zeros(len(log)) if altitude is None else np.nan_to_num(altitude)
+    places = np.stack([latitude, longitude, height_m])
+    origin = places[:, np.argmax(np.isfinite(latitude + longitude))]
+    if np.isfinite(origin).all():
+        log.attrs["origin"] = tuple(origin.tolist())
     inferred["position"] = (
-        f"metres east and north of latitude {latitude[first]:.7f}, longitude {longitude[first]:.7f}"
+        f"metres east and north of latitude {origin[0]:.7f}, longitude {origin[1]:.7f}, on WGS 84"
     )
-    height = np.zeros(len(log)) if altitude is None else np.nan_to_num(altitude)
-    at_first = (latitude[first], longitude[first], height[first])
-    east_m, north_m = _metres_at(latitude, longitude, height, at_first)
+    east_m, north_m = _metres_at(*places, origin)
     return log.assign(x_m=east_m, y_m=north_m)
 
 

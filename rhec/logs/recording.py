@@ -52,7 +52,7 @@ _SEGMENT_GAP = 3000.0  # after a longer gap a new segment begins
 _CLOCK = 5.0
 _MOST_FALLING = 0.05  # largest share of falling times in a log that counts as sorted
 _LEAST_ROWS = 5  # of a segment, on average
-_LEAST_USABLE = 0.5  # share of the rows whose times can be used: fewer are no recording of a drive
+_LEAST_USABLE = 0.1  # share of the rows with a usable time of their own: fewer are no recording
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
 _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
@@ -71,7 +71,8 @@ class Recording(NamedTuple):
     rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
     places: np.ndarray  # (rows,) their positions in the log
     averaged: bool  # whether encoder measurements are means since the previous row
-    track_width_m: float  # the argument, else from the log's track speeds, else the paper's
+    track_width_m: float
+    width_source: str  # of the track width, as part of a sentence
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
     timing: Timing | None = None  # of a Model's log
@@ -106,33 +107,31 @@ def prepare(log, track_width_m=None):
     """
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
-    n_positions = _count_positions(values)
+    n_positions = values[_POSITION].dropna().shape[0]
     _leave_out_flagged(values, log)
-    flagged = n_positions - _count_positions(values)
+    flagged = n_positions - values[_POSITION].dropna().shape[0]
     limits = SPEED_MODELS["parameter"].model.limits
     limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
     present = {name: limit for name, limit in limits.items() if name in values}
     _drop_implausible(values, columns, present)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
-    values, n_joined = _with_rows_of_the_same_time(values)
-    rows, places = _usable_rows(values, paper.DT_S)
+    values, places = _joined(values)
+    rows, usable = _usable_rows(values, len(log), paper.DT_S)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
     faults = dict(
         rows=len(log),
-        no_position=int(values[_POSITION[0]].isna().sum()),
-        no_encoders=int(values[_ENCODERS].isna().any(axis=1).sum()),
-        unusable_times=len(log) - len(places) - n_joined,
+        unusable_times=len(values) - len(rows),
         positions_held=int(is_held.sum()),
         positions_flagged=flagged,
         clock_back_s=_set_back_s(values),
         headers=_repeated_headers(log),
         segments=int(rows["segment"].max()) + 1,
     )
-    width_m = track_width_m or _recorded_width(log)
-    return Recording(rows, places, is_simulated, width_m, faults, columns)
+    width = (track_width_m, "as given") if track_width_m else _recorded_width(log)
+    return Recording(rows, places[usable], is_simulated, *width, faults, columns)
 
 
 def delayed(recording, position_delay_s):
@@ -195,22 +194,20 @@ def prepare_for(model, dt_s, log, delays_s=None):
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
-    values, n_joined = _with_rows_of_the_same_time(values)
-    rows, places = _usable_rows(values, dt_s)
-    faults = dict(rows=len(log), unusable_times=len(log) - len(places) - n_joined)
+    values, places = _joined(values)
+    rows, usable = _usable_rows(values, len(log), dt_s)
+    faults = dict(rows=len(log), unusable_times=len(values) - len(rows))
     inputs = [model.outputs[row] for row in model.input_outputs.values()]
-    periods_s = {name: _period_s(rows, name) for name in inputs}
     gaps_s = {
-        name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period) for name, period in periods_s.items()
+        name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period_s(rows, name)) for name in inputs
     }
     timing = Timing(dict(delays_s), gaps_s)
-    return Recording(rows, places, True, np.nan, faults, columns, timing)
+    return Recording(rows, places[usable], True, np.nan, "", faults, columns, timing)
 
 
-def _period_s(rows, name):
+def period_s(rows, column):
     """Median time between the measurements of a column [s]; 0 with fewer than two."""
-    there = rows[rows[name].notna()]
-    step_s = there.groupby("segment")["t_s"].diff()
+    step_s = rows[rows[column].notna()].groupby("segment")["t_s"].diff()
     return float(step_s.median()) if step_s.notna().any() else 0.0
 
 
@@ -246,10 +243,6 @@ def _parse_robot(log, is_simulated, track_width_m):
     return values, truth | sensors | measured
 
 
-def _count_positions(values):
-    return int(values[_POSITION].notna().all(axis=1).sum())
-
-
 def _leave_out_flagged(values, log):
     """Set measurements to NaN in rows of a log in which their column of _FLAGS is false."""
     for flag, flagged in _FLAGS.items():
@@ -266,19 +259,13 @@ def _leave_out_flagged(values, log):
         values.loc[~(numbers > 0), flagged] = np.nan
 
 
-def _with_rows_of_the_same_time(values):
-    """The rows, the first of each time with what later ones of it measured, and how many these are.
+def _joined(values):
+    """The rows, those of one time as one row with what each of them measured, and their places.
 
     So sensors that were logged in rows of their own stand in one.
     """
-    times = values[["segment", "t_s"]]
-    is_later = (times.diff() == 0).all(axis=1)
-    if not is_later.any():
-        return values, 0
-    run = (~is_later).cumsum()
-    alone = values.drop(columns=[*times]).notna().groupby(run).transform("sum").le(1).all(axis=1)
-    joined = values.groupby(run).bfill()[values.columns]
-    return joined.where(alone, values), int((is_later & alone).sum())
+    begins = ~(values[["segment", "t_s"]].diff() == 0).all(axis=1)
+    return values.groupby(begins.cumsum()).first(), np.flatnonzero(begins)
 
 
 def _set_back_s(values):
@@ -347,14 +334,15 @@ def _numbers(log, column):
 
 
 def _recorded_width(log):
-    """Track width b [m]: the median of (ν_r - ν_l)/ω; the paper's if the log lacks one of them."""
+    """Track width b [m] where none is given, the median of (ν_r - ν_l)/ω, and its source."""
     yaw_rate = RECORDED["omega_meas_radps"]
-    if not {*TRACKS, yaw_rate} <= set(log.columns):
-        return paper.TRACK_WIDTH_M
-    left, right, omega = (_numbers(log, name) for name in (*TRACKS, yaw_rate))
-    turns = np.abs(omega) > _TURNING_RADPS
-    width = np.median((right - left)[turns] / omega[turns]) if turns.any() else np.nan
-    return float(width) if width > 0 else paper.TRACK_WIDTH_M
+    if {*TRACKS, yaw_rate} <= set(log.columns):
+        left, right, omega = (_numbers(log, name) for name in (*TRACKS, yaw_rate))
+        widths = pd.Series(right - left) / omega
+        width_m = float(widths[np.abs(omega) > _TURNING_RADPS].median())
+        if width_m > 0:
+            return width_m, f"by the log's {', '.join(TRACKS)} and {yaw_rate}"
+    return paper.TRACK_WIDTH_M, "the paper's, because none is given and no track speeds tell it"
 
 
 def _drop_implausible(values, columns, limits):
@@ -407,44 +395,39 @@ def time_unit(t, max_period_s):
     return (*fits, None)[0], period
 
 
-def _refuse_times(values, dt_s):
-    """Raise a ValueError for unsorted times, times too far apart, and too many segments."""
-    rows = len(values)
-    segments = values["segment"].nunique()
-    falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
-    unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
-    if falling > max(2, _MOST_FALLING * rows):
-        order = "in reverse" if falling > 0.9 * (rows - 1) else "unsorted"
+def _usable_rows(values, n_rows, dt_s):
+    """The rows with usable times, with segments numbered from 0, and their places among the rows.
+
+    Args:
+        values: DataFrame of the rows.
+        n_rows: Number of the log's rows, several of which may have been one row of `values`.
+        dt_s: Length of a sample [s].
+    """
+    n_segments = values["segment"].nunique()
+    if n_segments * _LEAST_ROWS > n_rows > 2 * _LEAST_ROWS:
         raise ValueError(
-            f"the log's t_s falls {falling} times in {rows} rows; it may be {order} and should "
+            f"the log's segment has {n_segments} values in {n_rows} rows; it should be the same in "
+            "all rows of a drive"
+        )
+    falling = int((values.groupby("segment")["t_s"].diff() < 0).sum())
+    if falling > max(2, _MOST_FALLING * n_rows):
+        order = "in reverse" if falling > 0.9 * (n_rows - 1) else "unsorted"
+        raise ValueError(
+            f"the log's t_s falls {falling} times in {n_rows} rows; it may be {order} and should "
             "rise in each segment"
         )
-    if segments * _LEAST_ROWS > rows > 2 * _LEAST_ROWS:
-        raise ValueError(
-            f"the log's segment has {segments} values in {rows} rows; it should be the same in all "
-            "rows of a drive"
-        )
+    unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
     if period > MAX_PERIOD * dt_s:
-        may = f"t_s may be in {unit}, or the" if unit else "the"
+        they = f"t_s may be in {unit}, or they" if unit else "they"
         raise ValueError(
-            f"the log had rows {period:.3g} s apart (median); {may}y should be at most {dt_s:g} s "
+            f"the log had rows {period:.3g} s apart (median); {they} should be at most {dt_s:g} s "
             "apart, if necessary with missing measurements"
         )
-
-
-def _usable_rows(values, dt_s):
-    """The rows with usable times, with segments numbered from 0, and their places in the log."""
-    _refuse_times(values, dt_s)
     places, segment = _usable_times(values["t_s"].to_numpy(), values["segment"].to_numpy(), dt_s)
-    if not len(places):
+    if len(places) < _LEAST_USABLE * n_rows:
         raise ValueError(
-            "the log had no row whose t_s can be used; t_s should be seconds, rising within each "
-            "segment"
-        )
-    if len(places) < _LEAST_USABLE * len(values):
-        raise ValueError(
-            f"the log's t_s can be used in {len(places)} of {len(values)} rows; it may be constant "
-            "or rounded and should rise from row to row"
+            f"the log's t_s can be used in {len(places)} of {n_rows} rows; it may be constant or "
+            "rounded and should be seconds that rise from row to row"
         )
     return values.iloc[places].assign(segment=segment).reset_index(drop=True), places
 
@@ -566,15 +549,14 @@ def _unwrapped(angle):
 
 def _truth_at(at, t, value, gap_s):
     """Linear interpolation of a value at these times; NaN in gaps longer than gap_s."""
-    is_finite = np.isfinite(value)
-    if not is_finite.any():
+    known = np.isfinite(value)
+    if not known.any():
         return np.full(len(at), np.nan)
-    t = t[is_finite]
-    value = value[is_finite]
+    t = t[known]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     is_inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
-    return np.where(is_inside | (t[after] == at), np.interp(at, t, value), np.nan)
+    return np.where(is_inside | (t[after] == at), np.interp(at, t, value[known]), np.nan)
 
 
 def _newest_since(begin, end, t, value):

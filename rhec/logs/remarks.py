@@ -47,6 +47,6 @@ def remarks(samples):
         if left_out.mean() > _NOTABLE:
             sentences.append(
                 f"The gyro is left out in {left_out.mean():.1%} of the samples in which the robot "
-                "moves: it repeats itself, or turns far more than the tracks or the other way."
+                "moves: it repeats itself, or turns far more than the tracks."
             )
     return sentences

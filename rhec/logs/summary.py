@@ -145,7 +145,7 @@ def log(
     parameters = terms.table(*slopes, width_m, terms.antenna(smoothed))
     noise = terms.noise(smoothed)
     return Summary(
-        taken=_taken(recorded, recording, track_width_m),
+        taken=_taken(recorded, recording),
         asked="" if track_width_m else _ASKED,
         diagnosis=diagnosis,
         verdict=_verdict(recording, traction, comparison, smoothed),
@@ -156,7 +156,7 @@ def log(
     )
 
 
-def _taken(log, recording=None, track_width_m=None):
+def _taken(log, recording=None):
     """What the reader found in a log, which columns were taken for what, and the track width."""
     rows = dict(getattr(log, "attrs", {}).get("inferred", {}))
     if recording is not None:
@@ -172,8 +172,7 @@ def _taken(log, recording=None, track_width_m=None):
             if columns:
                 found = [*dict.fromkeys(columns), *([rows[role]] if role in rows else [])]
                 rows[role] = ", ".join(found)
-        source = "as given" if track_width_m else "by the log's track speeds, or the paper's"
-        rows["track width"] = f"{recording.track_width_m:.3g} m, {source}"
+        rows["track width"] = f"{recording.track_width_m:.3g} m, {recording.width_source}"
     return rows
 
 

@@ -11,7 +11,6 @@ import pytest
 from helpers import LIVE_PAGE, needs_live_page, wait_until
 
 import rhec
-from docs.live.functions import MAX_SAMPLES
 from docs.live.page import FAULTS, SCENES
 from rhec import paper
 from rhec.core import runner
@@ -24,12 +23,12 @@ pytestmark = needs_live_page
 
 # What a reader does to answer the question of each step of the story.
 ANSWERS = dict(
-    encoders="time=18",
-    filter="soil=default",
-    window="arrival=false",
-    kalman="bounds=false",
-    row="time=61",
-    noise="sigma=0.0101",
+    encoders=("time", "18"),
+    filter=("soil", "default"),
+    window=("arrival", False),
+    kalman=("bounds", False),
+    row=("time", "61"),
+    noise=("sigma", "-1.9958"),  # the power of ten
 )
 HELD_BY_A_BOUND_S = 65.0
 BYTES = """array => {
@@ -94,6 +93,16 @@ class Live:
 
     def answer(self, step):
         return self.page.inner_text(f"#step-{step} .answer")
+
+    def set(self, step, name, value):
+        control = self.page.locator(f"#step-{step} [name={name}]")
+        if isinstance(value, bool):
+            control.set_checked(value)
+        elif name == "soil":
+            control.select_option(value)
+        else:
+            control.fill(value)
+        self.settled()
 
     def change_at_random(self, chance):
         """Take other soil, seed and fault, add a patch, and move half of the sliders."""
@@ -206,24 +215,15 @@ def test_the_line_of_python_drives_within_millimetres_of_the_page(live):
             np.testing.assert_allclose(found, native.columns[name], atol=5e-3)
 
 
-def test_an_address_holds_all_of_the_sandbox(live):
-    """Lists, sliders, patches, the followed run and the moment come back from a link."""
-    page = live.open("#a").page
-    page.locator("[name=run-a][value='1']").check()
-    page.locator("#moment").fill("0.7")
-    live.change_at_random(random.Random(0))
-    state = "[page.followed, $('moment').value, $('line').textContent, page.patches]"
-    before = page.evaluate(state)
-    # The address is written a moment after the last change.
-    wait_until(page, "location.hash === address_of_sandbox()")
-    address = page.evaluate("location.hash")
-    live.open("#b").open(address)
-    assert page.evaluate(state) == before
-
-
-def test_an_address_with_an_absurd_duration_drives_as_long_as_a_run_may_be(live):
-    live.open("#a?duration_s=1e7")
-    assert all(len(run["rows"]) == MAX_SAMPLES for run in live.runs())
+def test_an_address_names_a_scene_or_a_step(live):
+    page = live.open("#faults").page
+    assert page.evaluate("page.scene") == "faults" and page.locator("#sandbox").is_visible()
+    live.open("#step-row")
+    assert page.evaluate("page.scene") == "a"
+    assert page.evaluate("document.getElementById('step-row').getBoundingClientRect().y") < 400
+    page.evaluate("location.hash = 'b'")
+    live.settled()
+    assert page.evaluate("page.scene") == "b"
 
 
 # The story
@@ -232,9 +232,8 @@ def test_an_address_with_an_absurd_duration_drives_as_long_as_a_run_may_be(live)
 @pytest.mark.parametrize("step", ANSWERS)
 def test_a_question_is_open_until_the_reader_answers_it(live, step):
     assert live.open().answer(step).startswith("Not yet")
-    address = f"#step-{step}?{ANSWERS[step]}"
-    assert live.open(address).answer(step).startswith("✓"), live.answer(step)
-    assert live.page.get_attribute(f"#step-{step} .here", "href") == address
+    live.set(step, *ANSWERS[step])
+    assert live.answer(step).startswith("✓"), live.answer(step)
 
 
 def test_window_costs_and_filter_of_the_story_are_those_of_python(live):

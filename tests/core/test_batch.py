@@ -340,47 +340,40 @@ def test_two_batches_of_one_problem_do_not_meet():
     np.testing.assert_array_equal(found.x, [run[0] for run in expected])
 
 
-@pytest.mark.parametrize("n", [0, -1, 2.5, "3", None])
-def test_runs_are_a_number(n):
-    with pytest.raises(ValueError, match="^n was "):
-        rhec.batch(problem("skid_steered").make_rhc(), n)
-
-
-@pytest.mark.parametrize("source", [rhec.RHC(), rhec.RHE(), None, "rhc", problem("skid_steered")])
-def test_only_objects_with_a_model(source):
-    with pytest.raises(ValueError, match=r"^source was .*; it should be a rhec\.RHC, rhec\.RHE or"):
-        rhec.batch(source, 2)
-
-
-def test_other_shapes_are_refused_in_one_sentence():
+def refusals():
+    """(the beginning of the sentence, the call)"""
     given = problem("skid_steered")
     x, p, x_ref, u_ref = given.wishes(0, slice(None))
     batch = rhec.batch(given.make_rhc(), RUNS)
-    message = r"^x had shape \(10, 3\); it should have \(11, 3\), or \(3,\) if it is the same"
-    with pytest.raises(ValueError, match=message):
-        batch.feedback(x[:10], p, x_ref, u_ref)
-    with pytest.raises(ValueError, match="^x_ref had shape "):
-        batch.feedback(x, p, x_ref[:, :, 1:], u_ref)
-    with pytest.raises(ValueError, match="^u_ref was .*; it should be made of numbers"):
-        batch.feedback(x, p, x_ref, "none")
-    with pytest.raises(ValueError, match="^z_N? ?had shape|^z had shape"):
-        rhec.batch(given.make_rhe(), RUNS).feedback(np.zeros((RUNS, 9)))
-    for value in (p + 1j, np.full(p.shape, "2026-11-23", dtype="datetime64[D]")):
-        with pytest.raises(ValueError, match="^p was .*; it should be made of numbers"):
-            batch.feedback(x, value, x_ref, u_ref)
+    of_rhe, of_ekf = (rhec.batch(make(), RUNS) for make in (given.make_rhe, given.make_ekf))
+    numbers = "was .*; it should be made of numbers"
+    shape = r"^x had shape \(10, 3\); it should have \(11, 3\), or \(3,\) if it is the same"
+    yield shape, lambda: batch.feedback(x[:10], p, x_ref, u_ref)
+    yield "^x_ref had shape ", lambda: batch.feedback(x, p, x_ref[:, :, 1:], u_ref)
+    yield f"^u_ref {numbers}", lambda: batch.feedback(x, p, x_ref, "none")
+    dates = np.full(p.shape, "2026-11-23", dtype="datetime64[D]")
+    for wrong in (p + 1j, dates):
+        yield f"^p {numbers}", lambda: batch.feedback(x, wrong, x_ref, u_ref)
+    yield "^z had shape ", lambda: of_rhe.feedback(np.zeros((RUNS, 9)))
+    for runs in ([99], -12, 1.5, "all", np.ones(RUNS + 1, dtype=bool)):
+        yield r"^runs was .* from 0 to 10, or a mask \(11,\)", lambda: of_ekf.restart(runs)
+    for n in (0, -1, 2.5, "3", None):
+        yield "^n was ", lambda: rhec.batch(given.make_rhc(), n)
+    for source in (rhec.RHC(), rhec.RHE(), None, "rhc", given):
+        sentence = r"^source was .*; it should be a rhec\.RHC, rhec\.RHE or"
+        yield sentence, lambda: rhec.batch(source, 2)
 
 
-@pytest.mark.parametrize("runs", [[99], -12, 1.5, "all", np.ones(RUNS + 1, dtype=bool)])
-def test_runs_that_do_not_exist_are_not_restarted(runs):
-    batch = rhec.batch(problem("skid_steered").make_ekf(), RUNS)
-    with pytest.raises(ValueError, match=r"^runs was .* from 0 to 10, or a mask \(11,\)"):
-        batch.restart(runs)
+def test_what_does_not_fit_is_refused_in_one_sentence():
+    for sentence, call in refusals():
+        with pytest.raises(ValueError, match=sentence):
+            call()
 
 
 @pytest.mark.parametrize("what", ["make_rhe", "make_rhc", "make_ekf"])
-@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
-def test_what_holds_compiled_code_says_that_it_has_no_copy(what, copied):
+def test_what_holds_compiled_code_says_that_it_has_no_copy(what):
     single = getattr(problem("skid_steered"), what)()
     for each in (single, rhec.batch(single, RUNS)):
-        with pytest.raises(TypeError, match="cannot be copied or pickled; make another one"):
-            copied(each)
+        for copied in (copy.deepcopy, pickle.dumps):
+            with pytest.raises(TypeError, match="cannot be copied or pickled; make another one"):
+                copied(each)

@@ -199,20 +199,6 @@ def test_a_command_before_that_is_far_beyond_its_bounds_comes_back_at_once():
     assert mpc.step((0, 0), x_ref=(9, 0), u_before=[1.0]) == pytest.approx(1.0) and mpc.ok
 
 
-@pytest.mark.parametrize("bad", [(1.0, 2.0), "a", ["a"], {}])
-def test_a_bad_command_before_is_refused(bad):
-    mpc = mass(delta_bounds=dict(force=(-0.1, 0.1)))
-    with pytest.raises(ValueError, match=r"^u_before (was|had) .*; it should"):
-        mpc.step((0, 0), u_before=bad)
-    with pytest.raises(ValueError, match=r"^u_before (was|had) .*; it should"):
-        mpc.restart(u_before=bad)
-
-
-def test_a_command_before_that_would_change_nothing_is_refused():
-    with pytest.raises(ValueError, match="^u_before was .*; it should be None, since changes"):
-        mass().step((0, 0), u_before=(1.0,))
-
-
 # Bounds of the model
 
 

@@ -39,10 +39,10 @@ ROOT = Path(rhec.__file__).parents[1]
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
 
 
-def start(cache, dt=0.2, package=ROOT, **environment):
-    """A process of its own that builds the EKF."""
+def start(cache, dt=0.2, package=ROOT, within=(), **environment):
+    """A process of its own that builds the EKF, as the last arguments of a command `within`."""
     return subprocess.Popen(
-        [sys.executable, "-c", BUILD.format(dt=dt)],
+        [*within, sys.executable, "-c", BUILD.format(dt=dt)],
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -63,20 +63,14 @@ def libraries(cache):
 
 
 @needs_compiler
-def test_one_of_several_processes_compiles(tmp_path):
+def test_one_of_several_processes_compiles_into_a_private_cache(tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"
     compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] || echo once >> {calls}\nexec cc "$@"\n')
     compiler.chmod(0o755)
-    assert (
-        len(
-            {
-                answer(process)
-                for process in [start(tmp_path / "cache", CC=str(compiler)) for _ in range(3)]
-            }
-        )
-        == 1
-    )
+    processes = [start(tmp_path / "cache", CC=str(compiler)) for _ in range(3)]
+    assert len({*map(answer, processes)}) == 1
     assert calls.read_text() == "once\n"
+    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
 
 
 @needs_compiler
@@ -108,30 +102,6 @@ def test_a_lock_is_that_of_the_file_that_is_there(tmp_path, monkeypatch):
     may_end.set()
     waiting.join()
     assert held[0] and not lock.exists()
-
-
-@needs_compiler
-def test_a_compilation_is_announced_once_at_a_terminal(tmp_path):
-    terminal, stderr = os.openpty()
-    build = [sys.executable, "-c", BUILD.format(dt=0.2)]
-    for _ in range(2):
-        subprocess.run(
-            build,
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            env=os.environ | dict(RHEC_CACHE=str(tmp_path / "one")),
-            check=True,
-        )
-    assert os.read(terminal, 1000).decode().splitlines() == [
-        "rhec: compiling the ekf, once (some seconds)"
-    ]
-    quiet = subprocess.run(
-        build,
-        capture_output=True,
-        env=os.environ | dict(RHEC_CACHE=str(tmp_path / "two")),
-        check=True,
-    )
-    assert quiet.stderr == b""
 
 
 @pytest.mark.nightly
@@ -195,15 +165,15 @@ def said(process, expected):
 
 
 FAILING = {
+    "finds no header": """[ "$1" = --version ] || { echo "x.h:1: error: no y.h" >&2; exit 1; }""",
     "says no": "exit 1",
     "dies": "kill -9 $$",
     "dies at work": '[ "$1" = --version ] || kill -9 $$',
-    "finds no header": """[ "$1" = --version ] || { echo "x.h:1: error: no y.h" >&2; exit 1; }""",
     "is no program": None,
 }
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("how", FAILING)
 def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path, expected, how):
@@ -223,18 +193,10 @@ def mounted(options, cache, elsewhere=None):
     if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
         pytest.skip("only root may mount, and not everywhere")
     cache.mkdir()
-    mount = (
-        f'for folder in "$0" {elsewhere or ""}; do mount -t tmpfs -o {options} none $folder; done'
-    )
-    build = [sys.executable, "-c", BUILD.format(dt=0.2)]
-    return subprocess.Popen(
-        ["unshare", "-m", "sh", "-c", f'{mount}; exec "$@"', cache, *build],
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=Path(rhec.__file__).parents[1],
-        env=os.environ | dict(RHEC_CACHE=str(cache), TMPDIR=str(elsewhere or cache.parent)),
-    )
+    folders = f'"$0" {elsewhere or ""}'
+    mount = f"for folder in {folders}; do mount -t tmpfs -o {options} none $folder; done"
+    within = ("unshare", "-m", "sh", "-c", f'{mount}; exec "$@"', cache)
+    return start(cache, within=within, TMPDIR=str(elsewhere or cache.parent))
 
 
 @pytest.mark.nightly(keep=1)
@@ -266,32 +228,39 @@ def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expecte
     assert said(process, expected).startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, ")
 
 
-def cut_in_half(folder):
-    library = folder / "library.so"
-    library.write_bytes(library.read_bytes()[: library.stat().st_size // 2])
+def build_increment():
+    x = ca.SX.sym("x")
+    return dict(increment=ca.Function("increment", [x], [x + 1]))
+
+
+def cut(file, share):
+    """The first bytes alone, in a new file: the old one is in use."""
+    content = file.read_bytes()
+    file.unlink()
+    file.write_bytes(content[: int(share * len(content))])
 
 
 BROKEN = {
-    "half a library": cut_in_half,
-    "an empty library": lambda folder: (folder / "library.so").write_bytes(b""),
+    "half a library": lambda folder: cut(folder / "library.so", 0.5),
+    "an empty library": lambda folder: cut(folder / "library.so", 0),
     "no library": lambda folder: (folder / "library.so").unlink(),
     "no list": lambda folder: (folder / "functions.json").unlink(),
-    "an empty list": lambda folder: (folder / "functions.json").write_bytes(b""),
+    "an empty list": lambda folder: cut(folder / "functions.json", 0),
     "an empty folder": lambda folder: [file.unlink() for file in folder.iterdir()],
 }
 
 
-@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("how", BROKEN)
-def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, expected, how):
-    assert answer(start(tmp_path)) == expected
+def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, monkeypatch, capsys, how):
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
+    load = compiled.load.__wrapped__
+    load(build_increment)
     (folder,) = tmp_path.iterdir()
     whole = sorted(folder.iterdir())
     BROKEN[how](folder)
-    process = start(tmp_path)
-    assert process.communicate(timeout=60) == (expected, "") and process.returncode == 0
-    assert sorted(folder.iterdir()) == whole
+    assert load(build_increment)["increment"](1) == 2
+    assert sorted(folder.iterdir()) == whole and capsys.readouterr() == ("", "")
 
 
 DAQP = "from condensed_rhc import rhc_by; rhc_by('daqp', horizon=2).prepare()"
@@ -330,13 +299,6 @@ def planted(tmp_path):
     return cache, mark
 
 
-@needs_compiler
-def test_code_of_ones_own_is_loaded(planted, tmp_path):
-    cache, mark = planted
-    start(cache, TMPDIR=str(tmp_path)).communicate(timeout=60)
-    assert mark.exists()
-
-
 def given_away(path):
     if os.geteuid():
         pytest.skip("only root may give files away")
@@ -346,14 +308,17 @@ def given_away(path):
 @pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("how", [given_away, lambda path: path.chmod(0o777)])
-def test_a_cache_that_others_can_write_to_is_not_used(planted, tmp_path, expected, how):
+def test_only_a_cache_that_no_other_can_write_to_is_used(planted, tmp_path, expected, how):
     cache, mark = planted
+    start(cache, TMPDIR=str(tmp_path)).communicate(timeout=60)
+    assert mark.exists()
+    mark.unlink()
     how(cache)
-    process = start(cache, TMPDIR=str(tmp_path))
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0 and out == expected and not mark.exists()
-    assert err.startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since {cache} belongs to ")
-    assert err.count("\n") == 1
+    line = said(start(cache, TMPDIR=str(tmp_path)), expected)
+    assert not mark.exists()
+    assert line.startswith(
+        f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since {cache} belongs to "
+    )
 
 
 @pytest.mark.nightly
@@ -367,46 +332,37 @@ def test_a_link_in_place_of_the_temporary_folder_is_not_followed(planted, tmp_pa
     assert not mark.exists()
 
 
+LINE = "rhec: compiling the test compiled, once (some seconds)\n"
+ANNOUNCED = {"notebook": (LINE, ""), "terminal": ("", LINE), "pipe": ("", "")}
+
+
 @needs_compiler
-def test_the_cache_is_private(tmp_path):
-    answer(start(tmp_path / "cache"))
-    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
-
-
-@pytest.mark.parametrize("notebook", [False, True])
-def test_a_compilation_is_announced_on_stdout_in_a_notebook_alone(monkeypatch, capsys, notebook):
+@pytest.mark.parametrize("where", ANNOUNCED)
+def test_a_compilation_is_announced_once_to_whoever_waits(tmp_path, monkeypatch, capsys, where):
     """A notebook shows stderr as if it were an error."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
     monkeypatch.delenv("RHEC_UNATTENDED", raising=False)
     monkeypatch.setattr(compiled.multiprocessing, "parent_process", lambda: None)
-    if notebook:
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    if where == "notebook":
         monkeypatch.setitem(sys.modules, "ipykernel", compiled)
-    else:
-        monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
-        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    compiled.announce(compiled.load)
-    printed = capsys.readouterr()
-    line = "rhec: compiling the compiled, once (some seconds)\n"
-    assert printed == (("", line), (line, ""))[notebook]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: where == "terminal")
+    for _ in range(2):
+        compiled.load.__wrapped__(build_increment)
+    assert capsys.readouterr() == ANNOUNCED[where]
 
 
-def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path):
-    process = start(tmp_path, PATH="/nowhere", CC="cc")
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0 and err.count("no C compiler found") == 1
-    assert list(tmp_path.iterdir()) == []
-    if shutil.which("cc"):
-        assert out == answer(start(tmp_path))
+@needs_compiler
+def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path, expected):
+    line = said(start(tmp_path, PATH="/nowhere", CC="cc"), expected)
+    assert "no C compiler found" in line and list(tmp_path.iterdir()) == []
 
 
 def test_a_buffered_function_computes_what_the_function_does():
     matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
-    function = ca.Function(
-        "f",
-        [matrix, vector],
-        [matrix @ vector, ca.sumsqr(vector)],
-        ["matrix", "vector"],
-        ["product", "norm"],
-    )
+    results = [matrix @ vector, ca.sumsqr(vector)]
+    names = ["matrix", "vector"], ["product", "norm"]
+    function = ca.Function("f", [matrix, vector], results, *names)
     buffered = compiled.BufferedFunction(function)
     lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
     buffered.set(matrix=lower, vector=ones)
@@ -434,3 +390,24 @@ def test_a_function_that_is_called_often_is_not_inlined():
     _, text = compiled.library_text(dict(often=called("often", 9), rare=called("rare", 2)))
     marked = re.findall(r"/\* (\w+):.*\nstatic __attribute__\(\(noinline\)\) int", text)
     assert marked == ["often_inner"]
+
+
+def test_what_does_not_load_is_removed(tmp_path, monkeypatch):
+    """A compiler may write nonsense and end with 0; once it is mended, all is built anew."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "other"))
+
+    def build_with(text):
+        return lambda folder: (folder / "library").write_text(text)
+
+    def load(folder):
+        text = (folder / "library").read_text()
+        if text == "nonsense":
+            raise RuntimeError("it does not load")
+        return text
+
+    with pytest.raises(cache.UnusableError):
+        cache.load_or_build("name", build_with("nonsense"), load)
+    assert cache.load_or_build("name", build_with("good"), load) == "good"
+    assert (tmp_path / "cache/name").is_dir()
+    assert not (tmp_path / "other").exists() or not list((tmp_path / "other").glob("*/name"))

@@ -146,6 +146,7 @@ def test_the_live_estimator_is_that_of_the_loop_and_has_no_kkt_where_it_is_not_o
         assert live.feedback(row).pose[:2] == pytest.approx(place, abs=1e-9)
         assert live.ok == is_ok
         assert np.isnan(live.kkt) != is_ok
+        assert ("far from its prediction" in live.status) != is_ok
 
 
 def test_a_closed_loop_drives_on_after_a_repeated_and_then_a_wild_position():

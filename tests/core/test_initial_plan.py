@@ -111,26 +111,6 @@ def test_an_absurd_first_estimate_is_not_the_plans_fault(virtual_machine):
     assert mpc.ok
 
 
-BAD_U = np.full((1, N), 1.0)
-BAD_U[0, 7] = np.nan
-
-
-@pytest.mark.parametrize(
-    ("plans", "sentence"),
-    [
-        (dict(u_plan=np.zeros((2, N))), f"u_plan had shape (2, {N}); it should have (1, {N}), or"),
-        (dict(u_plan=BAD_U), "u_plan[0, 7] was nan; it should be a number of at most 1e+12 in"),
-        (dict(u_plan="fast"), "u_plan was 'fast'; it should be made of numbers"),
-        (dict(x_plan=GOAL), "u_plan was None; with x_plan it should be the inputs (n_u, N)"),
-        (dict(u_plan=(0.0,), x_plan=np.zeros((4, N))), f"x_plan had shape (4, {N}); it should"),
-    ],
-)
-def test_a_bad_plan_is_refused_in_a_sentence(plans, sentence, virtual_machine):
-    with pytest.raises(ValueError) as error:
-        controller().restart(**plans)
-    assert str(error.value).startswith(sentence)
-
-
 def test_inputs_that_diverge_are_refused(virtual_machine):
     mpc = controller(bounds=None)
     mpc.restart(u_plan=(1e11,))

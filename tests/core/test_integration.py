@@ -130,23 +130,6 @@ def test_f_may_be_a_list_a_column_or_unpacked():
     assert len(ends) == 1
 
 
-@pytest.mark.parametrize(
-    "changed, sentence",
-    [
-        (dict(steps=0), "steps was 0; it should be a whole number"),
-        (dict(steps=True), "steps was True"),
-        (dict(steps=2.0), "steps was 2.0"),
-        (dict(rule="euler"), "rule was 'euler'; it should be one of"),
-        (dict(rule=["rk4"]), "rule was"),
-        (dict(discrete=1), "discrete was 1"),
-        (dict(discrete=True, steps=2), "steps was 2 and rule 'rk4' for a discrete Model"),
-    ],
-)
-def test_bad_rules_are_refused_in_a_sentence(changed, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        van_der_pol(**changed)
-
-
 def motor(**options):
     """A motor that follows its set point within 10 ms."""
     names = dict(states=("angle",), inputs=("set",), parameters={}, outputs=("angle", "set"))
@@ -314,9 +297,3 @@ def test_an_estimated_state_stays_within_its_bounds(virtual_machine):
             np.testing.assert_allclose(estimate.x, expected.x, rtol=0, atol=1e-9)
     assert active > 3
     assert estimate.x[0] == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("bounds", [5, {"speed": (0, 1)}, {"a": (1, 0)}, {"a": None}])
-def test_bad_bounds_of_states_are_refused(bounds):
-    with pytest.raises(ValueError, match="state_bounds was|in state_bounds was|bounds of 'a' were"):
-        van_der_pol(state_bounds=bounds)

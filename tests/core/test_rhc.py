@@ -18,18 +18,12 @@ STRAIGHT = dict(
 )
 
 
-@pytest.mark.parametrize("iterations", [None, [3], "3", 2.5, -1, 10**400])
-def test_iterations_are_a_number(iterations):
-    with pytest.raises(ValueError, match="^iterations was "):
-        rhec.RHC().solve(**STRAIGHT, iterations=iterations)
-
-
-def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(thorough):
-    """On 60 random instances, or 200, each with weights of its own; at least a third of them at
-    the bounds.
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
+    """On 60 random instances, each with weights of its own; at least a third of them at the
+    bounds.
     """
     rng, bounded = np.random.default_rng(0), 0
-    instances = 200 if thorough else 60
+    instances = 60
     for k in range(instances):
         problem, weights = rhc_instance(rng), rhc_weights(rng)
         rhc = rhc_by(SOLVERS[k % 3], **weights)
@@ -78,32 +72,6 @@ def test_estimate_and_references_count_in_feedback_alone():
         assert one.feedback(**then) != other.feedback(**then | {name: np.array(then[name]) + 0.05})
 
 
-@pytest.mark.parametrize(
-    "name, value",
-    [("pose", (0, 0)), ("xi_ref", np.zeros((N + 1, 3))), ("omega_ref", np.zeros(N + 1))],
-)
-def test_a_wrong_shape_is_named(name, value):
-    rhc = rhec.RHC()
-    rhc.prepare()
-    with pytest.raises(ValueError, match=f"^{name} had .* it should have"):
-        rhc.feedback(**STRAIGHT | {name: value})
-
-
-@pytest.mark.parametrize(
-    "bad, name",
-    [
-        (dict(q=(1, 1, -1)), r"q\[2\]"),
-        (dict(r=0), "r"),
-        (dict(qn_factor="10"), "qn_factor"),
-        (dict(omega_max=float("nan")), "omega_max"),
-        (dict(horizon=15.0), "horizon"),
-    ],
-)
-def test_a_bad_argument_is_named_in_one_sentence(bad, name):
-    with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
-        rhec.RHC(**bad)
-
-
 def test_weights_and_bounds_change_by_the_names_of_the_model():
     """As of any Model's controller: afterwards it commands what one made with them does."""
     problem = STRAIGHT | dict(pose=(0.0, 0.5, 0.0))
@@ -111,8 +79,6 @@ def test_weights_and_bounds_change_by_the_names_of_the_model():
     changed.update(q=(1, 2, 3), r=(0.1,), bounds={"omega_radps": (-0.05, 0.05)})
     assert changed.solve(**problem) == made.solve(**problem)
     assert abs(made.omega_plan).max() == 0.05
-    with pytest.raises(ValueError, match="needs a new rhec.RHC"):
-        changed.update(bounds={"x_m": (-1.0, 1.0)})
 
 
 def test_infinite_bounds_are_no_bounds():

@@ -295,31 +295,3 @@ def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_a
     for estimate in feed(rhe, z):
         assert np.all(np.isfinite(estimate[:6])) and np.all(np.isfinite(estimate.covariance))
         assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1
-
-
-# What one can get wrong
-
-
-@pytest.mark.parametrize("z", [(0, 0, 0), np.zeros((1, 4)), 0.0])
-def test_a_wrong_shape_is_named(z):
-    rhe = rhec.RHE()
-    rhe.prepare()
-    with pytest.raises(ValueError, match="^z had "):
-        rhe.feedback(z)
-
-
-@pytest.mark.parametrize(
-    "bad, name",
-    [
-        (dict(horizon=0), "horizon"),
-        (dict(sigma_w=(1, 1)), "sigma_w"),
-        (dict(speed_model="input", sigma_w=(1,) * 6), "sigma_w"),
-        (dict(speed_model="none"), "speed_model"),
-        (dict(arrival_mean=0), "arrival_mean"),
-        (dict(guess=(0, 0, 0)), r"guess(\[3\])?"),
-        (dict(guess=(np.nan,) * 6), r"guess\[0\]"),
-    ],
-)
-def test_a_bad_argument_is_named_in_one_sentence(bad, name):
-    with pytest.raises(ValueError, match=f"^{name} was .*; .*$"):
-        rhec.RHE(**bad)

@@ -100,18 +100,3 @@ def test_without_an_argument_it_is_the_noise_that_it_was_made_with(virtual_machi
         first.prepare(), second.prepare()
         one = first.feedback(row, sigma_w=others if k == 8 else None)
         np.testing.assert_array_equal(one.x, second.feedback(row, sigma_w=others).x)
-
-
-@pytest.mark.parametrize("wrong", [(1.0, 2.0), -np.ones(5), "abc", np.nan, np.ones((4, 5))])
-def test_wrong_noise_is_refused_in_one_sentence(wrong, virtual_machine):
-    mhe = estimator(BICYCLE, np.zeros(5), horizon=3, noise_in_window=True)
-    mhe.prepare()
-    with pytest.raises(ValueError, match="^sigma_w (was|had shape) .*; it should have [^\n]*$"):
-        mhe.feedback(np.zeros(4), sigma_w=wrong)
-
-
-def test_noise_by_sample_needs_noise_in_the_window(virtual_machine):
-    mhe = estimator(BICYCLE, np.zeros(5), horizon=3)
-    mhe.prepare()
-    with pytest.raises(ValueError, match="sigma_w was .* noise_in_window=True"):
-        mhe.feedback(np.zeros(4), sigma_w=BICYCLE.sigma_w)

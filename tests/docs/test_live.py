@@ -134,6 +134,3 @@ def test_the_words_of_the_story_name_controls_and_modules_that_exist():
         assert step.get("controls", {}).get("soil", "default") in page.SOILS
         if "run" in step:
             assert step["run"]["module"] in page.STRUCTURES
-        for _, address in step.get("links", []):
-            name = address[1:].partition("?")[0]
-            assert name in page.SCENES or name.removeprefix("step-") in page.STORY

@@ -1,6 +1,5 @@
 """Gyro and heading in a recorded log: what they gain, what faults cost, what is refused."""
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +9,6 @@ import rhec
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import ESTIMATE
-from rhec.tracked_robot import gyro_check
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
 START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
@@ -80,33 +78,23 @@ def test_a_gyro_that_falls_silent_leaves_the_encoders(without):
 
 
 @may_be_unsure
-@pytest.mark.parametrize("kind", ["dead", "stuck", "opposite", "silent"])
+@pytest.mark.parametrize("kind", ["dead", "stuck", "wild", "silent"])
 @pytest.mark.parametrize("begin_s", [30.0, 63.0])
 def test_a_gyro_that_fails_in_mid_log_is_left_out(kind, begin_s):
-    """It costs hardly more than to have no gyro; a wrong sign shows once the robot has turned."""
+    """It costs hardly more than to have no gyro."""
     log = with_gyro(bias=0.02)
     fails = log["t_s"].between(begin_s, begin_s + 30)
     gyro = log["gyro_radps"]
-    values = dict(dead=0.0, stuck=gyro[fails].iloc[0], opposite=-gyro, silent=np.nan)
+    values = dict(dead=0.0, stuck=gyro[fails].iloc[0], wild=gyro + 5.0, silent=np.nan)
     log["gyro_radps"] = gyro.mask(fails, values[kind])
     without_gyro = yaw_rms(log, sensors=())
-    worst = 0.1 if kind == "opposite" else 1.1 * without_gyro + 0.01
-    assert yaw_rms(log) < worst
+    assert yaw_rms(log) < 1.1 * without_gyro + 0.01
     result = rhec.replay(log, **START)
     used = result["gyro_accepted"]
     assert used[fails].mean() < 0.15
     assert used[log["t_s"] > begin_s + 40].mean() > 0.98
     remarks = " ".join(result.attrs["remarks"])
     assert ("The gyro is left out" in remarks) == (kind != "silent")
-
-
-def test_a_robot_whose_tracks_spin_keeps_its_gyro():
-    """Tracks that turn while the robot does not, as on ice, do not contradict the gyro."""
-    noise = np.random.default_rng(5).normal(0.0, 0.01, 500)
-    memory = gyro_check.Gyro(np.nan, 0.0, 0.0, 0.0)
-    for g in noise:
-        used, memory = gyro_check.checked(ca.DM(g), ca.DM(0.5), memory)
-        assert float(used) == g
 
 
 def test_a_gyro_carries_the_yaw_where_positions_are_missing():
@@ -142,27 +130,6 @@ def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
 def test_gyro_and_heading_together(without):
     both = with_heading(log=with_gyro(bias=0.03))
     assert yaw_rms(both) < yaw_rms(with_gyro(bias=0.03))
-
-
-@pytest.mark.parametrize(
-    "log, words",
-    [
-        (with_gyro(scale=-1.0), "gyro_radps may be counted clockwise"),
-        (with_gyro(scale=180 / np.pi), "gyro_radps may be in degrees"),
-        (with_gyro(scale=0.0, sigma=0.1), "gyro_radps may be of another axis"),
-        (with_gyro(scale=5e3), "gyro_radps is .* it may be in another unit"),
-        (with_heading(sign=-1.0), "heading_rad may be counted clockwise"),
-        (with_heading(offset=np.pi / 2), "heading_rad is .* may be counted from north"),
-        (
-            with_heading().pipe(lambda log: log.assign(heading_rad=np.rad2deg(log["heading_rad"]))),
-            "heading_rad may be in degrees",
-        ),
-    ],
-)
-def test_a_sensor_of_a_wrong_sign_axis_unit_or_zero_is_refused(log, words):
-    for function in (rhec.replay, rhec.calibrate):
-        with pytest.raises(ValueError, match=words):
-            function(log)
 
 
 def test_the_live_estimator_agrees():

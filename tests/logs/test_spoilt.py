@@ -3,21 +3,22 @@
 The logs are simulated, with an antenna that may be away from the centre.
 """
 
+import warnings
+
+import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
 
 import rhec
-from rhec.logs import path_checks
+from notebooks.further.recorded.scores import yaw_error
 from rhec.logs.recording import prepare, travelled
+from rhec.simulation.columns import ESTIMATE
 
+EXAMPLE = pd.read_csv(make_example_log.FILE)
 LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
 STOPS = recorded_log(10.0, 150.0, noise_m=0.02, seed=4)
-
-
-def codes(log, **arguments):
-    return [finding.code for finding in rhec.doctor(log, **arguments).findings]
 
 
 def with_imu(log, rate_hz=60.0):
@@ -59,47 +60,10 @@ def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
     assert told["kappa_hat"].iloc[-1] == pytest.approx(0.75, abs=0.05)
 
 
-def test_a_clock_of_its_own_rate_of_rows_is_no_other_clock():
-    assert "clock_offset" not in codes(in_pairs(STOPS, 0.05))
-
-
 def test_two_files_pasted_together_are_two_drives():
     again = LOG.assign(x_m=LOG["x_m"] + 20.0)
     pasted = pd.concat([LOG, again], ignore_index=True)
     assert rhec.replay(pasted, trust_log=True)["segment"].nunique() == 2
-
-
-@pytest.mark.parametrize("flag", ["pos_ok", "encoders_ok"])
-def test_words_in_place_of_a_flag_are_named(flag):
-    log = LOG.assign(**{flag: np.where(LOG.index % 3, "FIX", "SINGLE")})
-    with pytest.raises(ValueError, match=f"{flag} had the words 'SINGLE', 'FIX'; it should be 1"):
-        rhec.replay(log)
-    assert codes(log) == ["unusable"]
-
-
-def test_how_many_positions_count_is_always_said():
-    assert rhec.doctor(LOG).facts["positions_usable"] == 1
-    few = rhec.doctor(LOG.assign(pos_ok=LOG.index % 4 == 0))
-    assert few.facts["positions_usable"] == pytest.approx(0.25, abs=0.01)
-    assert [finding.code for finding in few.findings] == ["few_positions"]
-    none = LOG.assign(pos_ok=0)
-    assert "no_positions" in codes(none)
-    with pytest.raises(ValueError, match="pos_ok is true in none of 1500 rows with a position"):
-        rhec.replay(none)
-
-
-def test_a_straight_path_is_not_interpolated():
-    straight = LOG.assign(x_m=0.045 * LOG.index, y_m=0.0, yaw_rate_radps=0.0, speed_mps=0.5)
-    assert "interpolated_positions" not in codes(straight)
-
-
-@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.6, 0.0), (-0.5, 0.2)])
-@pytest.mark.parametrize("seed", [5, 6, 7])
-def test_a_lever_arm_is_no_delay(arm_m, seed):
-    log = recorded_log(10.0, 150.0, noise_m=0.02, seed=seed, arm_m=arm_m)
-    assert codes(log) == []
-    motion = path_checks._motion(prepare(log).rows)
-    assert abs(motion.delay_s) < 0.1
 
 
 @pytest.mark.nightly(keep=1)
@@ -130,3 +94,42 @@ def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
     found = rhec.calibrate(log)
     assert found.terms.loc["GNSS noise", "value"] == pytest.approx(0.8)
     assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
+
+
+# Gaps and delays of the example log
+
+
+def test_a_delay_that_is_told_is_made_up_for():
+    given = dict(process_noise="likelihood", speed_model="input", first_yaw_rad=(0.4, -2.0))
+    fresh = rhec.replay(EXAMPLE, **given)
+    late = EXAMPLE.groupby("segment")[["x_m", "y_m", "pos_ok"]].shift(4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        told = rhec.replay(EXAMPLE.assign(**late), position_delay_s=0.4, **given)
+    whole = EXAMPLE.groupby("segment").cumcount(ascending=False) >= 10  # the last have no position
+    np.testing.assert_allclose(told[ESTIMATE][whole], fresh[ESTIMATE][whole], atol=1e-6)
+
+
+@pytest.mark.parametrize("silence_s", [5.0, 60.0])
+def test_a_silence_keeps_the_traction_and_the_yaw(silence_s):
+    """While the robot stands the log is off: after it, nothing begins anew."""
+    stands = EXAMPLE.query("segment == 0 and 33.9 < t_s < 34.6").index
+    before, after = EXAMPLE[: stands[0]], EXAMPLE[stands[-1] : stands[-1] + 200]
+    after = after.assign(t_s=after["t_s"] + silence_s)
+    result = rhec.replay(pd.concat([before, after], ignore_index=True), smooth=False)
+    assert result["segment"].nunique() == 1 and np.isfinite(result[ESTIMATE]).all(axis=None)
+    last, first = result.iloc[len(before) - 1], result.iloc[len(before) + 2]
+    assert abs(first["mu_hat"] - last["mu_hat"]) < 0.02
+    assert abs(first["kappa_hat"] - last["kappa_hat"]) < 0.05
+    assert first["sigma_kappa"] < 0.5 * result["sigma_kappa"].iloc[0]
+    error = yaw_error(result)
+    assert abs(error.iloc[len(before) + 2]) < 2 * first["sigma_theta_rad"]
+    assert error.iloc[-50:].abs().max() < 0.1
+
+
+def test_missing_positions_leave_the_yaw_to_the_encoders():
+    log = EXAMPLE[EXAMPLE["segment"] == 0].reset_index(drop=True)
+    log.loc[log["t_s"].between(40, 50), ["x_m", "y_m"]] = np.nan
+    result = rhec.replay(log, first_yaw_rad=0.4)
+    gap = result[result["t_s"].between(40, 52)]
+    assert yaw_error(gap).abs().max() < 0.15 and gap["kappa_hat"].std() < 0.02

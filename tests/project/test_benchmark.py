@@ -6,20 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from benchmark import (
-    acados_peer,
-    any_robot,
-    batches,
-    drawings,
-    growth,
-    horizon,
-    instructions,
-    peers,
-    problems,
-    processes,
-    step,
-    tails,
-)
+
+from benchmark import acados_peer, instructions, peers, problems, step
 
 pytestmark = pytest.mark.nightly
 
@@ -105,7 +93,7 @@ def test_contestants_take_turns_and_sums_are_sums():
     assert table["B", "closed loop", "overall"] == 5
 
 
-def test_the_step_is_measured_and_drawn(monkeypatch):
+def test_the_step_is_measured(monkeypatch):
     monkeypatch.setattr(step, "SAMPLES", 20)
     agreeing, table = step.measure(rounds=2, counted=False)
     whole = table[table["problem"].isin(step.WHOLE)].set_index("contestant")
@@ -120,35 +108,6 @@ def test_the_step_is_measured_and_drawn(monkeypatch):
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     if step.REFERENCE in peers.PEERS:
         assert whole.loc[step.REFERENCE, step.SPEEDUP] == 1
-    assert len(drawings.step(table).axes) == 1
-
-
-@pytest.mark.parametrize("name", any_robot.ROBOTS)
-def test_problems_of_other_robots_are_full_windows_of_one_closed_loop(name):
-    robot = any_robot.ROBOTS[name]
-    _, log, problems = any_robot.record(robot, samples=5)
-    assert len(problems) == 5
-    for k, problem in enumerate(problems):
-        np.testing.assert_array_equal(problem.z, log[k : k + 16].T)
-        assert np.linalg.eigvalsh(problem.H).min() > 0
-        assert np.abs(problem.estimate[:2] - problem.x_ref[:2, 0]).max() < 0.5
-
-
-@pytest.mark.skipif(any_robot.do_mpc is None, reason="do-mpc is not installed")
-def test_other_robots_are_timed_beside_do_mpc():
-    agreeing, table = any_robot.measure(rounds=2, samples=12)
-    assert set(table["robot"]) == set(any_robot.ROBOTS) == set(agreeing["robot"])
-    whole = table.query("problem == 'RHE + RHC'").set_index(["robot", "contestant"])
-    for name in any_robot.ROBOTS:
-        assert whole.loc[(name, any_robot.REFERENCE), any_robot.SPEEDUP] == 1
-    assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
-
-
-def test_growth_is_measured_and_drawn():
-    table = horizon.measure(horizons=(4, 8), rounds=2)
-    assert list(table["intervals"].unique()) == [4, 8]
-    assert (table["growth"][table["intervals"] == 4] == 1).all() and (table["compile_s"] > 0).all()
-    assert len(drawings.horizon(table).axes) == 1
 
 
 CALLGRIND = """\
@@ -185,43 +144,3 @@ def test_only_what_is_asked_for_is_counted(tmp_path):
     profiles = instructions.below_callgrind(tmp_path, command)
     few, some, more = (instructions.total(profiles[str(n)]) for n in (100, 10_000, 20_000))
     assert few < some / 2 and 0.9 < (more - few) / (some - few) / (19_900 / 9_900) < 1.1
-
-
-def test_the_worst_case_is_at_least_every_percentile():
-    table = tails.measure(steps=200)
-    assert (table["steps"] == 190).all() and set(table["qp"]) == set(tails.SOLVERS)
-    columns = [column for column in table if column.endswith("_us")]
-    assert columns[-1] == "maximum_us" and (np.diff(table[columns]) >= 0).all()
-
-
-def test_starts_run_in_processes_of_their_own():
-    starts = processes.starts(rounds=1)
-    assert (
-        list(starts["start"].unique()) == ["nothing cached", "cached"]
-        and (starts["min_s"] > 0).all()
-    )
-
-
-def test_growth_of_campaigns_is_measured_and_drawn(monkeypatch):
-    short = growth.scenarios
-    small = dict(duration_s=4.0, estimation_horizon=3, prediction_horizon=3)
-    monkeypatch.setattr(growth, "scenarios", lambda runs, **more: short(runs, **small | more))
-    table = growth.by_runs(counts=(1, 10))
-    assert [*zip(table["workers"], table["runs"])] == [(1, 1), (1, 10), (2, 1), (2, 10)]
-    assert (table["share_of_linear"][:2] == 1).all() and (table["memory_mb"] > 0).all()
-    costs = growth.by_kind(dict(speed_model=("input", "slipping")), runs=2, rounds=1)
-    assert list(costs["value"]) == ["input", "slipping"] and (costs["run_ms"] > 0).all()
-    assert len(drawings.campaign(table).axes) == 2 and len(drawings.kinds(costs).axes) == 1
-
-
-def test_a_batch_is_compared_with_single_objects_to_the_bit(monkeypatch):
-    def kinds():
-        estimators, controllers = batches.skid_steered(runs=70, samples=5)
-        return {"RHE": estimators, "RHC": controllers}
-
-    table = batches.measure(rounds=1, kinds=kinds)
-    assert list(table["work"]) == ["RHE", "RHC"] and (table["samples"] == 4).all()
-    assert np.isfinite(table[["single_us", "batch_us", "speedup"]]).all(axis=None)
-    monkeypatch.setattr(batches, "_one_by_one", lambda work: (np.ones(5), np.zeros((5, 64, 3))))
-    with pytest.raises(SystemExit, match="other bits"):
-        batches.measure(rounds=1, kinds=kinds)

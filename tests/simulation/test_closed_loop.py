@@ -10,11 +10,13 @@ from oracles import flat
 
 import rhec
 from rhec import paper
+from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot import terrain
 
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
     omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
+MEASURED = ["x_meas_m", "y_meas_m"]
 MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
 
 
@@ -24,9 +26,6 @@ def simulated(**changes):
 
 def assert_equal_logs(one, other, atol=0.0):
     pd.testing.assert_frame_equal(one, other, rtol=0, atol=atol, check_exact=atol == 0)
-
-
-# Live and fused
 
 
 # Seeds and noise
@@ -66,9 +65,8 @@ def test_estimators_compared_at_one_seed_see_the_same_terrain_and_noise(run):
 
 
 def test_the_noise_in_the_log_is_that_of_the_scenario(run):
-    assert np.std(
-        run.log[["x_meas_m", "y_meas_m"]].to_numpy() - run.log[["x_m", "y_m"]].to_numpy()
-    ) == pytest.approx(0.03, rel=0.1)
+    position, measured = (run.log[names].to_numpy() for names in (["x_m", "y_m"], MEASURED))
+    assert np.std(measured - position) == pytest.approx(0.03, rel=0.1)
     assert np.std(run.log["nu_meas_mps"] - 0.5) == pytest.approx(0.05, rel=0.1)
     told, heard = (simulated(estimator="oracle", speed_sigma_mps=s).log for s in (0.0, 0.05))
     assert_equal_logs(told.drop(columns="nu_meas_mps"), heard.drop(columns="nu_meas_mps"))
@@ -80,15 +78,9 @@ def test_the_noise_in_the_log_is_that_of_the_scenario(run):
 
 def test_traction_in_the_log_is_that_of_the_terrain_under_the_robot(run):
     lookup = terrain.lookup(run.terrain.mu.shape)
+    soil = run.terrain.origin_m, run.terrain.cell_m, terrain.flat(run.terrain)
     for row in run.log[::50].itertuples():
-        expected = flat(
-            lookup(
-                (row.x_m, row.y_m),
-                run.terrain.origin_m,
-                run.terrain.cell_m,
-                terrain.flat(run.terrain),
-            )
-        )
+        expected = flat(lookup((row.x_m, row.y_m), *soil))
         assert (row.mu, row.kappa) == pytest.approx(tuple(expected), abs=1e-12)
 
 
@@ -109,16 +101,28 @@ def test_the_log_has_the_columns_that_other_programs_read(run):
 
 
 def test_errors_are_distances_to_the_path(run):
-    for error, x, y in (("error_m", "x_meas_m", "y_meas_m"), ("error_true_m", "x_m", "y_m")):
-        np.testing.assert_allclose(
-            run.log[error], run.path.project(run.log[[x, y]].to_numpy())[0], atol=1e-12
-        )
+    for error, names in (("error_m", MEASURED), ("error_true_m", ["x_m", "y_m"])):
+        distance, _ = run.path.project(run.log[names].to_numpy())
+        np.testing.assert_allclose(run.log[error], distance, atol=1e-12)
     late = run.log[run.log["t_s"] > 30]
-    np.testing.assert_allclose(
-        late["s_m"] % run.path.length_m,
-        run.path.project(late[["x_hat_m", "y_hat_m"]].to_numpy())[1],
-        atol=0.01,
-    )
+    _, s = run.path.project(late[["x_hat_m", "y_hat_m"]].to_numpy())
+    np.testing.assert_allclose(late["s_m"] % run.path.length_m, s, atol=0.01)
+
+
+def corner_errors(run, log):
+    """How much nearer to the crop a corner of the robot is than that of one in place [m]."""
+    _, s = run.path.project(log[["x_m", "y_m"]])
+    poses, _ = run.path.poses(s)
+    turned = log["theta_rad"] - poses[:, 2]
+    ahead, left = paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2
+    off = (log[["x_m", "y_m"]].to_numpy() - poses[:, :2]).T
+    aside = off[1] * np.cos(poses[:, 2]) - off[0] * np.sin(poses[:, 2])
+    corners = [
+        aside + x * np.sin(turned) + y * np.cos(turned)
+        for x in (-ahead, ahead)
+        for y in (-left, left)
+    ]
+    return np.abs(corners).max(axis=0) - left
 
 
 @pytest.mark.parametrize(
@@ -131,38 +135,44 @@ def test_metrics_are_what_the_log_says(changes):
     within 0.12 m, after which the count begins; without it the whole run counts.
     """
     run = simulated(duration_s=240.0, **changes)
-    log, got = run.log, run.metrics
+    log = run.log
     inside = [error < 0.12 for error in log["error_true_m"]]
     arrivals = [k for k in range(len(log) - 24) if all(inside[k : k + 25])]
     after = log[arrivals[0] + 25 if arrivals else 0 :]
     straight = after[after["on_straight"]]
     first_row = log[: np.argmax(log["x_m"] > run.scenario.row_length_m)]  # along the x axis
     beyond = -first_row["y_m"] * np.sign(run.scenario.start_offset_m)
+
+    def rms(hat, true):
+        return np.sqrt(np.mean((after[hat] - after[true]) ** 2))
+
     expected = dict(
         settling_time_s=log["t_s"][arrivals[0]] if arrivals else np.nan,
         mean_error_m=after["error_m"].mean(),
         mean_error_true_m=after["error_true_m"].mean(),
         max_error_true_m=after["error_true_m"].max(),
+        max_corner_error_true_m=corner_errors(run, straight).max(),
+        mean_speed_mps=after["nu_mps"].abs().mean(),
         mean_error_from_start_m=log["error_m"].mean(),
         overshoot_m=max(0, beyond.max()),
+        omega_peak_radps=log["omega_cmd_radps"].abs().max(),
         violations=sum(straight["error_m"] > 0.12),
         violations_true=sum(straight["error_true_m"] > 0.12),
-        rms_mu=np.sqrt(np.mean((after["mu_hat"] - after["mu"]) ** 2)),
-        rms_kappa=np.sqrt(np.mean((after["kappa_hat"] - after["kappa"]) ** 2)),
-        rms_yaw_rad=np.sqrt(np.mean((after["theta_hat_rad"] - after["theta_rad"]) ** 2)),
+        rms_mu=rms("mu_hat", "mu"),
+        rms_kappa=rms("kappa_hat", "kappa"),
+        rms_yaw_rad=rms("theta_hat_rad", "theta_rad"),
         kkt_rhe_median=after["kkt_rhe"].median(skipna=False),
         kkt_rhc_median=after["kkt_rhc"].median(),
         solver_ok=True,
     )
-    assert {name: got[name] for name in expected} == pytest.approx(expected, nan_ok=True)
+    assert run.metrics == pytest.approx(expected, nan_ok=True)
 
 
 def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
     with no_compiler():
         run = simulated(start_offset_m=-30.0)
-    assert np.isnan(run.metrics["settling_time_s"]) and run.metrics[
-        "mean_error_m"
-    ] == pytest.approx(run.log["error_m"].mean())
+    assert np.isnan(run.metrics["settling_time_s"])
+    assert run.metrics["mean_error_m"] == pytest.approx(run.log["error_m"].mean())
 
 
 # What the loop does
@@ -206,30 +216,21 @@ def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
 
 
 def test_terrain_and_path_of_ones_own():
+    soil = rhec.Terrain.uniform(0.7, 0.6)
+    path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
     with no_compiler():
-        soil, target = (
-            rhec.Terrain.uniform(0.7, 0.6),
-            rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0)),
-        )
-        run = simulated(terrain=soil, path=target, start_offset_m=-0.3)
-    assert run.terrain is soil and run.path is target
+        run = simulated(terrain=soil, path=path, start_offset_m=-0.3)
+    assert run.terrain is soil and run.path is path
     np.testing.assert_allclose(run.log[["mu", "kappa"]], [[0.7, 0.6]] * 300, atol=1e-12)
-    first = run.log.iloc[0]
-    assert (first["x_m"], first["y_m"], first["theta_rad"]) == pytest.approx(
-        (3 + 0.3 * np.sin(2), -2 - 0.3 * np.cos(2), 2)
-    )
+    start = 3 + 0.3 * np.sin(2), -2 - 0.3 * np.cos(2), 2
+    assert run.log.loc[0, ["x_m", "y_m", "theta_rad"]].tolist() == pytest.approx(start)
     assert run.log["error_true_m"][150:250].mean() < 0.05
 
 
 def test_the_oracles_know_what_they_say():
     log = simulated(estimator="oracle").log
-    for hat, true in (
-        ("x_hat_m", "x_m"),
-        ("theta_hat_rad", "theta_rad"),
-        ("nu_hat_mps", "nu_mps"),
-        ("kappa_hat", "kappa"),
-    ):
-        np.testing.assert_array_equal(log[hat], log[true])
+    true = ["x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"]
+    np.testing.assert_array_equal(log[ESTIMATE], log[true])
     log = simulated(estimator="traction_oracle").log
     np.testing.assert_array_equal(log[["mu_hat", "kappa_hat"]], log[["mu", "kappa"]])
     assert np.all(simulated(estimator="ekf").log[["mu_hat", "kappa_hat"]] == 1)

@@ -223,15 +223,3 @@ def test_a_scenario_refuses_inputs_of_other_shapes(name, shape, wanted, fields):
         dataclasses.replace(PLAIN, controller=controller, **fields)
     expected = f"step has the input {name!r} of shape {shape}; it should have {wanted}"
     assert str(refused.value) == expected
-
-
-@pytest.mark.parametrize("controller", ["pure_pursuit", None, step_of({}, COMMAND)])
-def test_what_is_neither_the_rhc_nor_a_controller_is_refused(controller):
-    with pytest.raises(ValueError, match="^controller was .*; it should be 'rhc' or a rhec.Contr"):
-        dataclasses.replace(PLAIN, controller=controller)
-
-
-def test_it_cannot_be_exported(tmp_path):
-    with pytest.raises(ValueError, match="^controller was Controller.*; to export, it should be"):
-        rhec.export(OWN, tmp_path / "c")
-    assert not (tmp_path / "c").exists()

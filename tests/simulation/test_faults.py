@@ -37,19 +37,13 @@ def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
 @pytest.mark.parametrize(
     "fault",
     [
-        dict(kind="missing"),
-        dict(kind="infinite"),
-        dict(kind="outliers", size_m=1.0),
-        dict(kind="jump", size_m=1.0),
-        dict(kind="stuck"),
-        dict(kind="duplicates"),
-        dict(kind="disorder"),
-        dict(kind="latency", delay_s=0.3),
-        dict(kind="rate", rate_hz=1.0),
+        dict(kind="missing"), dict(kind="infinite"), dict(kind="outliers", size_m=1.0),
+        dict(kind="jump", size_m=1.0), dict(kind="stuck"), dict(kind="duplicates"),
+        dict(kind="disorder"), dict(kind="latency", delay_s=0.3), dict(kind="rate", rate_hz=1.0),
         dict(kind="dead", channel="left"),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_only_the_channel_and_the_time_of_the_fault_are_touched(fault):
     for channel in faults.OWN_CHANNELS.get(fault["kind"], faults.CHANNELS):
         got = arriving(**fault | {"channel": channel})
@@ -79,10 +73,8 @@ def test_outliers_have_their_size_and_the_directions_of_their_seed():
 
 def test_a_stuck_position_is_the_last_one_before():
     np.testing.assert_array_equal(arriving(kind="stuck")[DURING, :2], Z[[49] * 10, :2])
-    np.testing.assert_array_equal(
-        arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5],
-        np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]),
-    )
+    from_the_start = arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5]
+    np.testing.assert_array_equal(from_the_start, np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]))
 
 
 @pytest.mark.parametrize(
@@ -113,17 +105,12 @@ def test_at_a_lower_rate_positions_are_missing(rate_hz, every):
 
 
 def test_a_dead_encoder_measures_0():
-    left, right = Z[DURING, 2] - B / 2 * Z[DURING, 3], Z[DURING, 2] + B / 2 * Z[DURING, 3]
-    for channel, l, r in (
-        ("left", 0 * left, right),
-        ("right", left, 0 * right),
-        ("encoders", 0 * left, 0 * right),
-    ):
-        np.testing.assert_allclose(
-            arriving(kind="dead", channel=channel)[DURING, 2:],
-            np.column_stack([(l + r) / 2, (r - l) / B]),
-            atol=1e-15,
-        )
+    tracks = Z[DURING, 2, None] + B / 2 * Z[DURING, 3, None] * (-1, 1)
+    for channel, alive in dict(left=(0, 1), right=(1, 0), encoders=(0, 0)).items():
+        left, right = (tracks * alive).T
+        expected = np.column_stack([(left + right) / 2, (right - left) / B])
+        found = arriving(kind="dead", channel=channel)[DURING, 2:]
+        np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 def test_faults_add_up():
@@ -138,50 +125,37 @@ def test_faults_add_up():
     np.testing.assert_allclose(got[25:35], Z[25:35] + jump)
 
 
-kinds = st.sampled_from(["missing", "infinite", "stuck", "duplicates", "disorder"]).flatmap(
-    lambda kind: st.fixed_dictionaries(
-        dict(kind=st.just(kind), channel=st.sampled_from(list(faults.CHANNELS)))
-    )
-)
-sized = (
-    st.fixed_dictionaries(
-        dict(kind=st.sampled_from(["outliers", "jump"]), size_m=st.floats(0, 100))
-    )
-    | st.fixed_dictionaries(
-        dict(
-            kind=st.just("latency"),
-            channel=st.sampled_from(list(faults.CHANNELS)),
-            delay_s=st.floats(0, 1),
-        )
-    )
-    | st.fixed_dictionaries(dict(kind=st.just("rate"), rate_hz=st.floats(0.1, 20)))
-    | st.fixed_dictionaries(
-        dict(kind=st.just("dead"), channel=st.sampled_from(["left", "right", "encoders"]))
-    )
-)
-a_fault = st.tuples(kinds | sized, st.floats(-2, 22), st.floats(0, 10)).map(
-    lambda drawn: Fault(**drawn[0], start_s=drawn[1], duration_s=drawn[2])
-)
+OF_A_SIZE = dict(
+    outliers=dict(size_m=st.floats(0, 100)), jump=dict(size_m=st.floats(0, 100)),
+    latency=dict(delay_s=st.floats(0, 1)), rate=dict(rate_hz=st.floats(0.1, 20)),
+)  # fmt: skip
+
+
+@st.composite
+def a_fault(draw):
+    kind = draw(st.sampled_from(faults.KINDS))
+    channel = draw(st.sampled_from(faults.OWN_CHANNELS.get(kind, tuple(faults.CHANNELS))))
+    size = {name: draw(values) for name, values in OF_A_SIZE.get(kind, {}).items()}
+    times = dict(start_s=draw(st.floats(-2, 22)), duration_s=draw(st.floats(0, 10)))
+    return Fault(kind=kind, channel=channel, **size, **times)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(st.lists(a_fault, max_size=4), st.integers(0, 9))
+@given(st.lists(a_fault(), max_size=4), st.integers(0, 9))
 def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
     deliver, memory, rows = fault_signals.deliver(), faults.init(), []
+    ends = np.cumsum([n * columns for n, columns in faults.STREAM.values()])[:-1]
     for z, row in zip(Z, fault_signals.stream(several, len(Z), DT, seed)):
-        columns = np.split(
-            row, np.cumsum([rows * columns for rows, columns in faults.STREAM.values()])[:-1]
-        )
-        result = deliver(z=z, **memory, **dict(zip(faults.STREAM, columns)), track_width_m=B)
+        signals = dict(zip(faults.STREAM, np.split(row, ends)))
+        result = deliver(z=z, **memory, **signals, track_width_m=B)
         memory = {name: result[name] for name in memory}
         rows.append(flat(result["z"]))
-    np.testing.assert_allclose(
-        rows, fault_signals.corrupted(Z, several, T, B, seed), rtol=1e-9, atol=1e-9
-    )
+    expected = fault_signals.corrupted(Z, several, T, B, seed)
+    np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
-@given(st.lists(a_fault, max_size=4), st.integers(1, 100))
+@given(st.lists(a_fault(), max_size=4), st.integers(1, 100))
 def test_a_longer_stream_begins_like_a_shorter_one(several, n):
     np.testing.assert_array_equal(
         fault_signals.stream(several, 100, DT, 3)[:n], fault_signals.stream(several, n, DT, 3)
@@ -202,67 +176,51 @@ def test_the_log_has_the_measurements_that_arrived():
     healthy, never = simulated(), simulated(Fault(kind="missing", start_s=1e6))
     for name in healthy.columns:
         np.testing.assert_array_equal(never.columns[name], healthy.columns[name])
-    out, stuck = (
-        simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0)).log,
-        simulated(Fault(kind="stuck", start_s=10.0, duration_s=2.0)).log,
-    )
-    assert (
-        out.loc[50:59, ["x_meas_m", "y_meas_m", "error_m"]].isna().all(axis=None)
-        and out.drop(range(50, 60))["error_m"].notna().all()
-    )
-    assert (
-        stuck.loc[50:59, ["x_meas_m", "y_meas_m"]] == stuck.loc[49, ["x_meas_m", "y_meas_m"]]
-    ).all(axis=None)
-    infinite = simulated(Fault(kind="infinite", start_s=10.0, duration_s=2.0)).log
-    assert infinite.loc[50:59, "error_m"].isna().all()
-    for log in (out, stuck):
-        np.testing.assert_array_equal(
-            log.drop(columns="on_straight")[:50], healthy.log.drop(columns="on_straight")[:50]
-        )
+    during, position = range(50, 60), ["x_meas_m", "y_meas_m"]
+    before = healthy.log.drop(columns="on_straight")[:50]
+    for kind in ("missing", "infinite", "stuck"):
+        log = simulated(Fault(kind=kind, start_s=10.0, duration_s=2.0)).log
+        np.testing.assert_array_equal(log.drop(columns="on_straight")[:50], before)
         assert log["error_true_m"].notna().all()
+        if kind == "stuck":
+            assert (log.loc[during, position] == log.loc[49, position]).all(axis=None)
+        else:
+            assert not np.isfinite(log.loc[during, position]).any(axis=None)
+            assert log.loc[during, "error_m"].isna().all()
+            assert log.drop(during)["error_m"].notna().all()
 
 
 def test_means_by_gnss_are_over_the_samples_that_have_a_position():
     run = simulated(Fault(kind="missing", start_s=10.0, duration_s=2.0))
-    assert run.metrics["mean_error_from_start_m"] == pytest.approx(
-        run.log["error_m"].mean(skipna=True)
-    )
-    silent = simulated(Fault(kind="missing"))
-    assert np.isnan(silent.metrics["mean_error_m"]) and np.isfinite(
-        silent.metrics["mean_error_true_m"]
-    )
+    mean = run.log["error_m"].mean(skipna=True)
+    assert run.metrics["mean_error_from_start_m"] == pytest.approx(mean)
+    silent = simulated(Fault(kind="missing")).metrics
+    assert np.isnan(silent["mean_error_m"]) and np.isfinite(silent["mean_error_true_m"])
+    assert silent["solver_ok"]
 
 
 def test_ok_is_false_where_a_step_was_not_solved():
     """A position 90,000 km off for a second, without gating: commands keep their bound, `ok` is
     False for some samples, True again after.
     """
-    fault = rhec.Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0)
-    run = simulated(fault, duration_s=60.0)
-    log = run.log
-    assert (
-        log["ok"][:100].all()
-        and not log["ok"].all()
-        and log["ok"][140:].all()
-        and not run.metrics["solver_ok"]
-    )
-    assert log["omega_cmd_radps"].abs().max() <= 0.1 and np.isfinite(log.filter(like="hat")).all(
-        axis=None
-    )
+    run = simulated(Fault(kind="jump", size_m=9e7, start_s=20.0, duration_s=1.0), duration_s=60.0)
+    ok = run.log["ok"]
+    assert ok[:100].all() and not ok.all() and ok[140:].all() and not run.metrics["solver_ok"]
+    assert run.log["omega_cmd_radps"].abs().max() <= 0.1
+    assert np.isfinite(run.log.filter(like="hat")).all(axis=None)
 
 
 CASES = {
-    (family, name): case
-    for family, of_family in fault_study.CASES.items()
-    for name, case in of_family.items()
+    f"{family}, {name}": case
+    for family, cases in fault_study.CASES.items()
+    for name, case in cases.items()
 }
 
 
 @pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("family, name", CASES)
-def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(family, name):
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(case):
     """`notebooks/further/faults.ipynb` shows how well it drives."""
-    case = CASES[family, name]
     run = rhec.simulate(fault_study.scenario(case, 12.0, SHORT))
     assert fault_study.response(run, *fault_study.interval_s(run, case, 12.0))["in_bounds"]
 

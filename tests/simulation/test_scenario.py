@@ -76,8 +76,21 @@ OUT_OF_RANGE = [
     ("terrain", "wet"),
     ("process_noise", "Printed"),
     ("controller", "mpc"),
+    ("controller", None),
     ("controller", ca.Function("own", [], [])),
     ("input_reference", None),
+    ("gyro_scale", -1.0),
+    ("gyro_sigma_radps", -0.1),
+    ("side_slip_time_s", 0.0),
+]
+DEAD_GYRO = (rhec.Fault(kind="dead", channel="gyro"),)
+SENTENCES = [
+    (dict(q=()), "q was (); it should have 3 entries"),
+    (dict(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
+    (dict(q=(1, 1, -1)), "q[2] was -1; it should be at least 0"),
+    (dict(sensors=("gyro",), estimator="ekf"), "sensors was"),
+    (dict(sensors=("heading",), faults=DEAD_GYRO), "with a gyro that fails"),
+    (dict(faults=DEAD_GYRO), "sensors should have 'gyro', too"),
 ]
 
 
@@ -97,6 +110,9 @@ def test_values_out_of_range_are_refused_in_one_sentence():
         sentence = refusal(**{name: value})
         assert sentence.startswith(name) and " was " in sentence and "; " in sentence, sentence
         assert "\n" not in sentence and "pydantic" not in sentence, sentence
+    for fields, words in SENTENCES:
+        sentence = refusal(**fields)
+        assert words in sentence and "\n" not in sentence, sentence
 
 
 @pytest.mark.parametrize(
@@ -244,11 +260,6 @@ def test_a_process_noise_that_an_estimator_has_not_is_refused():
         "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
         "of ('likelihood',)"
     )
-
-
-def test_only_a_scenario_is_simulated():
-    with pytest.raises(ValueError, match="^scenario was .*; it should be a rhec.Scenario"):
-        rhec.simulate(dict(seed=1))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 """The soak test: an endless drive that can be cut and resumed anywhere, and its counts.
-`python tests/soak.py --samples 10000000` drives a hundred times as far.
+`make nightly` drives ten times as far.
 """
 
 import json
@@ -20,13 +20,6 @@ pytestmark = pytest.mark.nightly
 BASE = rhec.Scenario()
 
 
-def assert_equal_states(one, other):
-    assert {name: value for name, value in one.items() if name != "memory"} == {
-        name: value for name, value in other.items() if name != "memory"
-    }
-    np.testing.assert_array_equal(one["memory"], other["memory"])
-
-
 def test_five_hours_with_sensor_faults():
     """100,000 samples: no exception, everything finite and within its bounds, the arrival
     covariance positive definite, the estimator never rejects for longer than its patience, memory
@@ -44,34 +37,26 @@ def test_five_hours_with_sensor_faults():
     assert report["memory_mb_at_the_end"] - report["memory_mb_at_one_tenth"] < 5
 
 
-def test_a_drive_can_be_cut_saved_and_resumed_anywhere(tmp_path):
+def test_a_drive_can_be_cut_anywhere():
     """Equal to the last bit, on either side of the end of a leg, of a check and of a block."""
     begun, cuts = soak.init(BASE, 0), [1, 15, 484, 777, 1499, 1500, 1501, 2003]
     whole, cut = soak.drive(begun, BASE, 2003), begun
     for samples in np.diff([0, *cuts]):
         cut = soak.drive(cut, BASE, int(samples))
-        soak.save(cut, tmp_path / "state.npz")
-        cut = soak.load(tmp_path / "state.npz", BASE)
-    assert_equal_states(cut, whole)
-    assert (
-        soak.drive(soak.init(BASE, 1), BASE, 100)["digest"]
-        != soak.drive(begun, BASE, 100)["digest"]
-    )
+    np.testing.assert_equal(cut, whole)
+    another = soak.drive(soak.init(BASE, 1), BASE, 100)
+    assert another["digest"] != soak.drive(begun, BASE, 100)["digest"]
 
 
 def test_legs_differ_but_not_in_the_loops_structure():
     legs = [soak.leg(BASE, 0, number) for number in range(40)]
-    assert legs == [soak.leg(BASE, 0, number) for number in range(40)] and legs[3] != soak.leg(
-        BASE, 1, 3
-    )
-    assert len({leg.seed for leg in legs}) == 40 and {
-        fault.kind for leg in legs for fault in leg.faults
-    } == set(faults.KINDS)
+    assert legs == [soak.leg(BASE, 0, number) for number in range(40)]
+    assert legs[3] != soak.leg(BASE, 1, 3) and len({leg.seed for leg in legs}) == 40
+    assert {fault.kind for leg in legs for fault in leg.faults} == set(faults.KINDS)
     # The delay of a command is another wire, with the same memory.
     setups = {leg: closed_loop.set_up(leg) for leg in legs[:8]}
     assert len({(leg.command_delay, setup.structure) for leg, setup in setups.items()}) == 2
-    assert len({tuple(setup.layout) for setup in setups.values()}) == 1
-    assert len({len(setup.memory) for setup in setups.values()}) == 1
+    assert len({(*setup.layout, len(setup.memory)) for setup in setups.values()}) == 1
 
 
 def test_each_kind_of_failure_is_counted():
@@ -85,11 +70,8 @@ def test_each_kind_of_failure_is_counted():
         rows = healthy.copy()
         for name, value in wrong.items():
             rows[2, COLUMNS.index(name)] = value
-        return {
-            name: count
-            for name, count in soak.counted(scenario, setup, rows, memory)[0].items()
-            if count
-        }
+        counts, _ = soak.counted(scenario, setup, rows, memory)
+        return {name: count for name, count in counts.items() if count}
 
     assert found() == {}
     assert found(omega_cmd_radps=np.nan) == found(theta_hat_rad=np.inf) == {"not_finite": 1}

@@ -89,6 +89,7 @@ class RHC(RealTimeLoop):
         ValueError: If an argument is invalid.
     """
 
+    _unsolved = "the QP was not solved; the plan before goes on"
     _initial: InitialPlan | None = None
     _before: np.ndarray | None = None  # the commands before the first sample, as `restart` was told
 
@@ -217,14 +218,10 @@ class RHC(RealTimeLoop):
     @property
     def status(self) -> str:
         """Why the last step was not `ok`, as a sentence; empty if it was."""
-        if self.ok:
-            return ""
         for name, excess in zip(self.structure.soft_names, self.iteration.arrays.get("excess", ())):
             if excess:
                 return f"the bounds of {name} cannot be kept; the plan exceeds them by {excess:.3g}"
-        if np.isnan(self.kkt):
-            return "the QP was not solved; the plan before goes on"
-        return "the iterations ended far from a solution; more of them would help"
+        return super().status
 
     @property
     def bounds(self) -> dict:

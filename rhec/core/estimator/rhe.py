@@ -752,6 +752,11 @@ class RHE(RealTimeLoop):
         ValueError: If an argument is invalid.
     """
 
+    _unsolved = (
+        "the sample was far from its prediction, or the QP was not solved; the estimate is the "
+        "prediction"
+    )
+
     @valid.checked
     def __init__(
         self,

@@ -172,6 +172,7 @@ class RealTimeLoop:
     """What RHE and RHC objects share; subclasses set `iteration` and `_inputs`, views by name."""
 
     iteration: RealTimeIteration
+    _unsolved: str  # why a step has no solution, and what it leads to
 
     def prepare(self) -> None:
         """Do all work that is possible before the next sample (paper: preparation part)."""
@@ -206,6 +207,15 @@ class RealTimeLoop:
         near a solution if another iteration would lower the cost by less than a tenth of it.
         """
         return self.iteration.arrays["ok"].item() == 1
+
+    @property
+    def status(self) -> str:
+        """Why the last step was not `ok`, as a sentence; empty if it was."""
+        if self.ok:
+            return ""
+        if np.isnan(self.kkt):
+            return self._unsolved
+        return "the iterations ended far from a solution; more of them would help"
 
     @property
     def converged(self) -> bool:

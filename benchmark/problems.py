@@ -18,19 +18,16 @@ class Problem(NamedTuple):
     z: np.ndarray  # (4, N+1) the window of measurements, the newest last
     m: np.ndarray  # (6,) mean of the arrival cost
     H: np.ndarray  # (6, 6) its weight
-    estimate: (
-        np.ndarray
-    )  # (6,) answer: x, y, θ, ν, μ, κ at the newest node; also what the controller starts from
+    estimate: np.ndarray  # (6,) answer at the newest node; the controller starts from it
     xi_ref: np.ndarray  # (3, N+1)
     omega_ref: np.ndarray  # (N,)
     omega_plan: np.ndarray  # (N,) answer
 
 
-def drive(samples, horizon=paper.HORIZON):
+def drive(samples):
     """A run with so many samples after the window has filled up."""
-    return simulate(
-        Scenario(process_noise="likelihood", duration_s=(horizon + samples) * paper.DT_S)
-    )
+    duration_s = (paper.HORIZON + samples) * paper.DT_S
+    return simulate(Scenario(process_noise="likelihood", duration_s=duration_s))
 
 
 def measured(run):
@@ -38,45 +35,30 @@ def measured(run):
     return run.log[["x_meas_m", "y_meas_m", "nu_meas_mps", "omega_meas_radps"]].to_numpy()
 
 
-def live(run, horizon=paper.HORIZON):
+def live(run):
     """rhec's estimator and controller as they begin this run."""
     guess = (*run.log.loc[0, ["x_m", "y_m", "theta_rad"]], run.scenario.speed_mps, 1.0, 1.0)
-    return RHE(process_noise=run.scenario.process_noise, horizon=horizon, guess=guess), RHC(
-        horizon=horizon
-    )
+    return RHE(process_noise=run.scenario.process_noise, guess=guess), RHC()
 
 
-def references(run, horizon):
-    """The function (estimate (6,), measured yaw rate) -> xi_ref (3, N+1), omega_ref (N,) that
-    follows this run's path.
-    """
-    tracker = PathTracker(run.path, horizon)
-
-    def refer(estimate, omega_measured):
-        return tuple(each.copy() for each in tracker.references(estimate, omega_measured))
-
-    return refer
-
-
-def record(run, horizon=paper.HORIZON, iterations=20):
+def record(run, iterations=20):
     """The problems of a run, from the first full window on, each iterated so often."""
-    (estimator, controller), refer, z, problems = (
-        live(run, horizon),
-        references(run, horizon),
-        measured(run),
-        [],
-    )
+    estimator, controller = live(run)
+    tracker = PathTracker(run.path)
+    z = measured(run)
+    problems = []
     for k, newest in enumerate(z):
         estimator.prepare()
         estimate = np.array(estimator.solve(newest, iterations)[:6])
-        xi_ref, omega_ref = refer(estimate, newest[3])
+        references = tracker.references(estimate, newest[3])
+        xi_ref, omega_ref = (each.copy() for each in references)
         controller.prepare()
         controller.solve(estimate[:3], estimate[3:], xi_ref, omega_ref, iterations)
-        if k >= horizon:
+        if k >= paper.HORIZON:
             arrival = estimator.iteration.current
             problems.append(
                 Problem(
-                    z[k - horizon : k + 1].T.copy(),
+                    z[k - paper.HORIZON : k + 1].T.copy(),
                     arrival["m"].copy(),
                     np.linalg.inv(arrival["P"].reshape(6, 6)),
                     estimate,

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmark import problems
 from notebooks.studies.timing import PHASES
+from rhec import paper
 from rhec.core._casadi import cache, compiled
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
@@ -74,18 +75,17 @@ class Steps:
 
 def block(run, recorded):
     """A contestant: all problems of the run, one iteration each, the arrival cost updated."""
-    horizon = len(recorded[0].omega_ref)
-    window, newest = np.split(problems.measured(run), [horizon])
+    window, newest = np.split(problems.measured(run), [paper.HORIZON])
     columns = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
 
-    estimator, controller = problems.live(run, horizon)
+    estimator, controller = problems.live(run)
     libraries = {
         type(estimator): _library(rhe.build_phases, estimator.window),
         type(controller): _library(rhc.build_phases, controller.problem),
     }
 
     def times(_):
-        estimator, controller = problems.live(run, horizon)
+        estimator, controller = problems.live(run)
         for z in window:
             estimator.prepare()
             estimator.feedback(z)

@@ -15,7 +15,7 @@ from rhec import paper
 
 ITERATIONS = 30
 NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}
-_OWN_PYTHON = Path(__file__).parents[2] / ".venv" / "acados" / "bin" / "python"
+_OWN_PYTHON = Path(__file__).parents[1] / ".venv" / "acados" / "bin" / "python"
 
 
 def command():

@@ -11,17 +11,16 @@ import pandas as pd
 
 from benchmark import acados_peer, instructions, native, peers, problems
 from notebooks.studies.timing import PHASES
+from rhec import paper
 from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
 
 TOLERANCE = 1e-6  # m, rad, m/s, 1, rad/s: how far an answer may be from rhec's
-SAMPLES, SHARE, LOOP = (
-    300,
-    10,
-    1200,
-)  # problems; how many of them a peer solves in a block; samples of a closed loop in a block
+SAMPLES = 300  # problems
+SHARE = 10  # problems that a peer solves in a block
+LOOP = 1200  # samples of a closed loop in a block
 WHOLE = "RHE + RHC", "closed loop"
 REFERENCE = "do-mpc"
 SPEEDUP = f"speedup_over_{REFERENCE}"
@@ -34,24 +33,14 @@ def difference(name, answers, recorded):
     """
     largest = np.array(
         [
-            (
-                np.abs(estimate - problem.estimate).max(),
-                np.abs(omega_plan - problem.omega_plan).max(),
-            )
-            for (estimate, omega_plan), problem in zip(answers, recorded)
+            (np.abs(estimate - each.estimate).max(), np.abs(omega_plan - each.omega_plan).max())
+            for (estimate, omega_plan), each in zip(answers, recorded)
         ]
     )
-    (rhe_median, rhc_median), (rhe_maximum, rhc_maximum) = (
-        np.median(largest, axis=0),
-        largest.max(axis=0),
-    )
-    return dict(
-        contestant=name,
-        rhe_median=rhe_median,
-        rhe_maximum=rhe_maximum,
-        rhc_median=rhc_median,
-        rhc_maximum=rhc_maximum,
-    )
+    row = dict(contestant=name)
+    for problem, errors in zip(("rhe", "rhc"), largest.T):
+        row |= {f"{problem}_median": np.median(errors), f"{problem}_maximum": errors.max()}
+    return row
 
 
 def agreed(row):
@@ -100,11 +89,10 @@ def from_python(run, recorded, iterations=None):
     """rhec's live objects, NumPy arrays in and out, the arrival cost updated: a block is the whole
     run. One iteration a sample, or so many.
     """
-    horizon = len(recorded[0].omega_ref)
-    window, newest = np.split(problems.measured(run), [horizon])
+    window, newest = np.split(problems.measured(run), [paper.HORIZON])
 
     def block(_):
-        estimator, controller = problems.live(run, horizon)
+        estimator, controller = problems.live(run)
         estimate, control = estimator.feedback, controller.feedback
         if iterations:
             estimate, control = (
@@ -125,15 +113,9 @@ def from_python(run, recorded, iterations=None):
             controller.prepare()
             planned = clock()
             control(pose, p, problem.xi_ref, problem.omega_ref)
-            taken[k] = (
-                prepared - begin,
-                estimated - prepared,
-                planned - estimated,
-                clock() - planned,
-            )
-        return dict(
-            zip(PHASES, taken[1:].mean(axis=0) / 1e3)
-        )  # on the first sample the controller has nothing to prepare
+            taken[k] = np.diff([begin, prepared, estimated, planned, clock()])
+        # On the first sample the controller has nothing to prepare.
+        return dict(zip(PHASES, taken[1:].mean(axis=0) / 1e3))
 
     return block
 

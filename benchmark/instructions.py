@@ -88,13 +88,11 @@ def per_call(profile):
     names, calls, instructions = {}, Counter(), Counter()
     with open(profile) as lines:
         for line in lines:
-            if function := re.match(
-                r"c?fn=\((\d+)\)(?: (\S+))?", line
-            ):  # a name is written out once, then goes by its number
+            if function := re.match(r"c?fn=\((\d+)\)(?: (\S+))?", line):
+                # A name is written out once, then goes by its number.
                 name = names.setdefault(*function.groups())
-            elif line.startswith(
-                "calls="
-            ):  # `name` is the one called, the next line says what it cost
+            elif line.startswith("calls="):
+                # `name` is the one called, the next line says what it cost.
                 calls[name] += int(line.split()[0].removeprefix("calls="))
                 instructions[name] += int(next(lines).split()[-1])
     return {name: instructions[name] / calls[name] for name in calls}

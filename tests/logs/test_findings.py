@@ -1,0 +1,289 @@
+"""Logs that cannot be what their columns say: each is named in a sentence, before anything is
+estimated; and what a log may be is not.
+
+The logs are simulated. With RHEC_LOGS, a folder of recorded logs, those must be healthy, too.
+"""
+
+import json
+import os
+import re
+import warnings
+from pathlib import Path
+
+import make_example_log
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import TRACK_WIDTH_M, recorded_log
+
+import rhec
+from rhec.cli import main
+from rhec.logs import replay as module
+from rhec.logs.path_checks import likeliest_delay
+from rhec.logs.recording import prepare
+
+PAGE = Path(__file__).parents[2] / "docs" / "your_log.md"
+EXAMPLE = pd.read_csv(make_example_log.FILE)
+LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
+T, X, Y = LOG["t_s"], LOG["x_m"], LOG["y_m"]
+SPEED, TURN = LOG["speed_mps"], LOG["yaw_rate_radps"]
+RANDOM = np.random.default_rng(5)
+NOISE = RANDOM.standard_normal((len(LOG), 2))
+FAULTY = (T >= 60) & (T < 90)
+BURST = FAULTY & (RANDOM.random(len(LOG)) < 0.1)
+
+
+def change(where, **columns):
+    log = LOG.copy()
+    for name, values in columns.items():
+        log.loc[where, name] = values[where] if isinstance(values, pd.Series) else values
+    return log
+
+
+def dead(left, right):
+    """Tracks whose encoders show 0 from 60 to 90 s."""
+    v_left = LOG["v_left_mps"] * left
+    v_right = LOG["v_right_mps"] * right
+    return change(
+        FAULTY, speed_mps=(v_left + v_right) / 2, yaw_rate_radps=(v_right - v_left) / TRACK_WIDTH_M
+    )
+
+
+def noisy(sigma_m, log=LOG):
+    return log.assign(**log[["x_m", "y_m"]] + sigma_m * NOISE[: len(log)])
+
+
+def integrated():
+    """Positions that are the integral of the encoders."""
+    step_s = np.gradient(T)
+    steps = SPEED * step_s * np.exp(1j * np.cumsum(TURN * step_s))
+    return LOG.assign(x_m=np.cumsum(steps.to_numpy().real), y_m=np.cumsum(steps.to_numpy().imag))
+
+
+def positions_of_every(n):
+    """The positions of every nth row."""
+    return LOG[["x_m", "y_m"]][::n].reindex(LOG.index)
+
+
+def late(seconds, log=LOG):
+    return log.assign(**log[["x_m", "y_m"]].shift(round(seconds / 0.1)))
+
+
+def in_rows_of_their_own(offset_s, log=LOG):
+    """A log whose positions stand in other rows than its encoders, by a clock that is ahead."""
+    positions = log[["t_s", "x_m", "y_m"]].assign(t_s=log["t_s"] + offset_s)
+    both = pd.concat([log[["t_s", "speed_mps", "yaw_rate_radps"]], positions])
+    return both.sort_values("t_s", kind="stable", ignore_index=True)
+
+
+def gyro(scale=1.0, bias=0.0, sigma=0.005):
+    return LOG.assign(gyro_radps=scale * LOG["yaw_rate_true_radps"] + bias + sigma * NOISE[:, 0])
+
+
+def heading(offset=0.0, sign=1.0, unit=1.0):
+    angle = sign * LOG["yaw_true_rad"] + offset + 0.02 * NOISE[:, 0]
+    return LOG.assign(heading_rad=unit * ((angle + np.pi) % (2 * np.pi) - np.pi))
+
+
+def moves_only(speed_mps):
+    t = np.arange(0, 60, 0.1)
+    return pd.DataFrame(
+        dict(t_s=t, x_m=0.9 * speed_mps * t, y_m=0.0, speed_mps=speed_mps, yaw_rate_radps=0.0)
+    )
+
+
+HEADER = pd.DataFrame([dict(zip(LOG, LOG))])
+PASTED = pd.concat([LOG, HEADER, LOG.assign(x_m=X + 20)], ignore_index=True)
+WORDS = np.where(LOG.index % 3, "FIX", "SINGLE")
+SIX_DIGITS = [float(f"{t:.6g}") for t in 1_722_264_375 + T]  # as a spreadsheet prints Unix seconds
+MOVING = "x_m, y_m may be in {} and should be in m: the path of x_m, y_m is {} times"
+BACK = "falls back by {}; what follows counts as another drive"
+# {what is wrong: (log, pattern of each thing that is said of it, …)}
+WRONG = {
+    "speed in km/h": (LOG.assign(speed_mps=3.6 * SPEED), "speed_mps may be in km/h .* 0.25 times"),
+    "speed in cm/s": (LOG.assign(speed_mps=100 * SPEED), "speed_mps may be in cm/s and should"),
+    "speed in mm/s": (LOG.assign(speed_mps=1e3 * SPEED), "speed_mps is 566 .*in another unit"),
+    "positions in mm": (LOG.assign(x_m=1e3 * X, y_m=1e3 * Y), MOVING.format("mm", 905)),
+    "positions in cm": (LOG.assign(x_m=100 * X, y_m=100 * Y), MOVING.format("cm", 90.5)),
+    "positions in feet": (LOG.assign(x_m=3.28 * X, y_m=3.28 * Y), MOVING.format("feet", 2.96)),
+    "degrees as metres": (LOG.assign(x_m=11.5 + X / 76e3, y_m=48 + Y / 111e3), "longitude and lat"),
+    "yaw rate in degrees": (LOG.assign(yaw_rate_radps=np.rad2deg(TURN)), "in degrees per second"),
+    "yaw rate clockwise": (LOG.assign(yaw_rate_radps=-TURN), "counted clockwise .* turns -0.754"),
+    "x and y swapped": (LOG.assign(x_m=Y, y_m=X), "clockwise .*, or x_m, y_m may be swapped"),
+    "gyro clockwise": (gyro(scale=-1.0), "gyro_radps may be counted clockwise"),
+    "gyro in degrees": (
+        gyro(scale=180 / np.pi),
+        "gyro_radps may be in degrees .* rad/s.* 43 times",
+    ),
+    "gyro of another axis": (gyro(scale=0.0, sigma=0.1), "gyro_radps may be of another axis"),
+    "gyro in another unit": (gyro(scale=5e3), "gyro_radps is .* it may be in another unit"),
+    "heading clockwise": (heading(sign=-1.0), "heading_rad may be counted clockwise"),
+    "heading from north": (heading(offset=np.pi / 2), "heading_rad is 1.57 rad .* from north"),
+    "heading in degrees": (heading(unit=180 / np.pi), "heading_rad may be in degrees .* rad: "),
+    "rows in reverse": (LOG[::-1], "t_s falls 1499 times in 1500 rows; it may be in reverse"),
+    "rows unsorted": (LOG.sample(frac=1.0, random_state=0), "t_s falls 755 times .* unsorted"),
+    "time in ms": (LOG.assign(t_s=1e3 * T), "rows 100 s apart .median.; t_s may be in ms, or they"),
+    "time in ns": (LOG.assign(t_s=1e9 * T), "t_s may be in ns"),
+    "time constant": (LOG.assign(t_s=7.0), "t_s can be used in 1 of 1500 rows; it may be constant"),
+    "time rounded": (LOG.assign(t_s=SIX_DIGITS), "t_s can be used in 1 of 1500 rows"),
+    "time missing": (LOG.assign(t_s=T.where(LOG.index % 5 > 0)), "20% of the rows have times that"),
+    "a segment for each row": (LOG.assign(segment=range(1500)), "segment has 1500 values in 1500"),
+    "segments that are lists": (LOG.assign(segment=[[1]] * 1500), "segment should be one column"),
+    "no column of speeds": (
+        LOG.drop(columns="speed_mps"),
+        "no column speed_mps; .* give a track_w",
+    ),
+    "no numbers": (LOG.assign(speed_mps="fast"), "column speed_mps had no number in it"),
+    "a column twice": (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m; it should"),
+    "no rows": (LOG[:0], "DataFrame without rows; it should be a DataFrame with rows"),
+    "no table": (7, "int; it should be a DataFrame with rows"),
+    "a robot that never moves": (moves_only(0.001), "should be of a robot that moves: it drove"),
+    "positions that never change": (
+        LOG.assign(x_m=1.0, y_m=1.0),
+        "y_m should .* they never change",
+    ),
+    "words in pos_ok": (
+        LOG.assign(pos_ok=WORDS),
+        "pos_ok had the words 'SINGLE', 'FIX'; it should",
+    ),
+    "words in encoders_ok": (LOG.assign(encoders_ok=WORDS), "encoders_ok had the words 'SINGLE'"),
+    "no position that counts": (LOG.assign(pos_ok=0), "pos_ok is true in none of 1500 rows"),
+    "few positions that count": (LOG.assign(pos_ok=LOG.index % 4 == 0), "leaves 375 of 1500 pos"),
+    "positions by GPS time": (in_rows_of_their_own(18.0), "18 s ahead of .*, as GPS .*_s=18 corr"),
+    "positions 37 s behind": (in_rows_of_their_own(-37.0), "37 s behind that of .*_s=-37 corrects"),
+    "positions 0.4 s late": (late(0.4), "y_m come 0.39 ± 0.12 s later than .*_s=0.39 corrects"),
+    "positions 0.3 s early": (late(-0.3), "y_m come 0.31 ± 0.11 s earlier .*_s=-0.31 corrects"),
+    "two files pasted together": (PASTED, BACK.format("149.9 s"), "names stands once more"),
+    "an hour back": (LOG.assign(t_s=T + 4000 - 3600 * (T > 75)), BACK.format("3600 s, an hour.*")),
+    "positions at 0.5 Hz": (LOG.assign(**positions_of_every(20)), "positions come at 0.5 Hz"),
+    "no positions for 30 s": (change(FAULTY, x_m=np.nan, y_m=np.nan), "positions .*up to 30.1 s"),
+    "no encoders for 30 s": (change(FAULTY, speed_mps=np.nan), "speeds are missing .*up to 30.0 s"),
+    "interpolated positions": (
+        LOG.assign(**positions_of_every(10).interpolate()),
+        "90% of the pos",
+    ),
+    "RTK float": (LOG.assign(position_sigma_m=0.02 + 0.4 * FAULTY), "0.42 m for 20% .*RTK float"),
+    "left encoder dead": (dead(0, 1), "the left encoder shows 0 for at least 2[3-6] s"),
+    "right encoder dead": (dead(1, 0), "the right encoder shows 0 for at least 2[3-6] s"),
+    "both encoders dead": (dead(0, 0), "both encoders show 0 while the positions move, for 25 s"),
+    "outliers": (change(BURST, x_m=X + 4.0), "52 of 1500 positions are farther from the last than"),
+    "a jump": (change(FAULTY, x_m=X + 3.0), "2 of 1500 positions are farther from the last than"),
+    "carried by hand in a pause": (
+        change(T > 80, t_s=T + 120, x_m=X + 3.0),
+        "robot was 3.0 m away",
+    ),
+    "odometry as positions": (integrated(), "positions are the integral of the encoders"),
+    "wheels too small": (LOG.assign(speed_mps=0.75 * SPEED), "go 1.2 times as far as the encoders"),
+    "yaw rate corrected": (LOG.assign(yaw_rate_radps=0.5 * TURN), "turns 1.51 times as far as the"),
+    "too short": (LOG[:150], "drives 9.2 m: μ, the yaw and the lever arm stay open"),
+    "straight on": (moves_only(0.5), "turns 0 rad in all: κ stays open"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_named_once(what):
+    log, *patterns = WRONG[what]
+    findings = rhec.doctor(log).findings
+    said = [finding.fact for finding in findings]
+    assert len(said) == len(patterns), said
+    assert all(map(re.search, patterns, said)), said
+    assert all(each.sentence.endswith(".") and each.remedy.endswith(".") for each in findings)
+
+
+@pytest.fixture
+def nothing_estimated(monkeypatch):
+    """A replay stops where its estimator would begin."""
+    monkeypatch.setattr(
+        module, "estimate_samples", lambda *_, **__: (_ for _ in ()).throw(StopIteration)
+    )
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_replay_refuses_for_the_first_error_and_warns(what, nothing_estimated):
+    """Before anything is estimated, unless it is told to trust the log."""
+    log = WRONG[what][0]
+    serious = [each for each in rhec.doctor(log).findings if each.severity != "note"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises((ValueError, UserWarning, StopIteration, RuntimeError)) as stopped:
+            rhec.replay(log)
+    if serious:
+        assert str(stopped.value) == serious[0].fact
+    else:
+        assert stopped.type in (StopIteration, RuntimeError)
+    if serious and serious[0].code != "unusable":
+        with pytest.raises((StopIteration, RuntimeError)):
+            rhec.replay(log, trust_log=True)
+
+
+def test_the_page_says_what_is_said():
+    """Each row of its table is a log of WRONG, and … stands for words that are left out."""
+    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", PAGE.read_text("utf-8"), re.M)
+    told = {what: words for what, words in rows if what in WRONG}
+    assert len(told) > 20
+    for what, words in told.items():
+        pattern = re.escape(words).replace("…", ".*")
+        said = [finding.fact for finding in rhec.doctor(WRONG[what][0]).findings]
+        assert any(re.search(pattern, fact) for fact in said), (what, said)
+
+
+HEALTHY = {
+    "simulated": LOG,
+    "slower": recorded_log(5.0, 120.0, noise_m=0.03),
+    "the example": EXAMPLE,
+    "in UTM": LOG.assign(x_m=X + 5e5, y_m=Y + 5e6),
+    "with a gyro": gyro(bias=0.02),
+    "with a heading": heading(),
+    "in rows of their own": in_rows_of_their_own(0.05),
+    "one row late": late(0.1),
+    "a wrapped truth": LOG.assign(yaw_true_rad=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),
+    "noise of 0.1 m": noisy(0.1),
+    "noise of 0.5 m": noisy(0.5),
+    "noise of 2 m": noisy(2.0),
+    "a tenth of the positions": LOG.assign(**positions_of_every(10)),
+    "much slip": LOG.assign(speed_mps=1.5 * SPEED, yaw_rate_radps=2 * TURN),
+    "two drives": pd.concat([LOG.assign(segment="a"), LOG.assign(segment="b", x_m=X + 20)]),
+}
+
+
+@pytest.mark.parametrize("what", HEALTHY)
+def test_a_healthy_log_has_no_findings(what):
+    diagnosis = rhec.doctor(HEALTHY[what])
+    assert diagnosis.ok and str(diagnosis).endswith("Nothing was found.")
+
+
+@pytest.mark.parametrize("file", sorted(Path(os.environ.get("RHEC_LOGS", "-")).glob("*.csv")))
+def test_recorded_logs_are_healthy(file):
+    assert rhec.doctor(rhec.logs.read(file)).ok
+
+
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.6, 0.0), (-0.5, 0.2)])
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_a_lever_arm_is_no_delay(arm_m, seed):
+    log = recorded_log(10.0, 150.0, noise_m=0.02, seed=seed, arm_m=arm_m)
+    assert rhec.doctor(log).ok
+    assert abs(likeliest_delay(prepare(log))) < 0.1
+
+
+@pytest.mark.parametrize("delay_s", [-1.0, 0.3, 1.5])
+def test_a_delay_is_found_and_made_up_for(delay_s):
+    assert likeliest_delay(prepare(late(delay_s))) == pytest.approx(delay_s, abs=0.1)
+    assert rhec.doctor(late(delay_s), position_delay_s=delay_s).ok
+
+
+def test_how_many_positions_count_is_always_said():
+    assert rhec.doctor(LOG).facts["positions_usable"] == 1
+    few = rhec.doctor(LOG.assign(pos_ok=LOG.index % 4 == 0))
+    assert few.facts["positions_usable"] == pytest.approx(0.25, abs=0.01)
+
+
+def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
+    for name, log, code in (("good", LOG, 0), ("bad", dead(0, 1), 1)):
+        log.to_csv(tmp_path / f"{name}.csv", index=False)
+        assert main(["doctor", str(tmp_path / f"{name}.csv"), "--json"]) == code
+        assert json.loads(capsys.readouterr().out)["ok"] == (code == 0)
+    LOG.rename(columns=dict(x_m="east")).to_csv(tmp_path / "east.csv", index=False)
+    assert main(["doctor", str(tmp_path / "east.csv"), "--columns", "x_m=east"]) == 0
+    assert "found separator: comma" in capsys.readouterr().err
+    assert main(["doctor", str(tmp_path / "none.csv")]) == 2
+    assert "none.csv" in capsys.readouterr().err
