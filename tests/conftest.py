@@ -83,7 +83,7 @@ def unoptimised_processes():
 @pytest.fixture(scope="module")
 def virtual_machine():
     """The module's tests need no compiled code: what they build is used for moments only.
-    `test_closed_loop` shows that both agree.
+    `tests/agreement` shows that both agree.
     """
     with no_compiler():
         yield
@@ -93,4 +93,5 @@ def virtual_machine():
 def run():
     """One minute of the paper's loop in a simple world, calibrated."""
     scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
-    return rhec.simulate(scenario)
+    with no_compiler():
+        return rhec.simulate(scenario)

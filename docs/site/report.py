@@ -176,6 +176,9 @@ def _prepare(notebook):
     folded = notebook.metadata.get("rhec", {}).get("code") != "open"
     for cell, caption in with_captions(notebook):
         cell.outputs = [_without_widget(output) for output in cell.outputs]
+        for output in cell.outputs:
+            if "image/png" in output.get("data", {}):
+                output.data.pop("text/html", None)  # the same picture for other readers
         cell.metadata["mystnb"] = dict(
             image=dict(alt=alternative_text(caption), width=f"{_WIDTH_PX}px")
         )

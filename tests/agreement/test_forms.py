@@ -6,6 +6,7 @@ live objects. Lanes and batches have the same bits; the other forms differ by ro
 
 import dataclasses
 import functools
+import itertools
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from oracles import flat, mhe_instance, mpc_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
+from notebooks.claims.live_robot import LiveRobot
 from notebooks.further.c_code import toolchain
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -26,7 +28,6 @@ from rhec.core.estimator.base import joint_guess
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
-from rhec.simulation.live_robot import LiveRobot
 
 TOLERANCE = 1e-9
 ANSWERS = [*ESTIMATE, *COMMAND]
@@ -281,13 +282,14 @@ def model_in_c(name, folder):
 MODEL_FORMS = (fused_model, model_in_lanes, model_in_a_batch, model_in_c)
 
 
-@pytest.mark.parametrize("form", MODEL_FORMS, ids=lambda form: form.__name__)
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name == "bicycle" else pytest.mark.nightly)
-        for name in EVERY_ROBOT
-    ],
-)
+def models_and_forms():
+    """Of the bicycle always, but for batches, which tests/core/test_batch.py compares always."""
+    for name, form in itertools.product(EVERY_ROBOT, MODEL_FORMS):
+        is_quick = name == "bicycle" and form is not model_in_a_batch
+        marks = () if is_quick else pytest.mark.nightly
+        yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
+
+
+@pytest.mark.parametrize(("name", "form"), [*models_and_forms()])
 def test_a_loop_of_any_robot_is_the_same_in_every_form(name, form, tmp_path):
     form(name, tmp_path)

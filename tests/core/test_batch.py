@@ -8,13 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import controller, estimator, model, no_compiler
-from robots import DT, ROBOTS, SKID_STEERED, VARIANTS, N
+from robots import DT, ROBOTS, SKID_STEERED, VARIANTS
 
 import rhec
 from rhec.core._casadi import cache
 from rhec.core.lanes import lanes
 
 RUNS = 11  # not a multiple of any number of lanes
+N = 5  # intervals; more of them only compile longer
 SAMPLES = 24
 CHOSEN = ("skid_steered", "with_track_width", "skid_with_gyro")
 ABSURD = (np.nan, np.inf, -np.inf, 1e300, -1e9, 5e-324, 0.0)
@@ -97,13 +98,13 @@ class Problem:
         self.x[12, 1] = 1e300
 
     def make_rhe(self):
-        return estimator(self.robot, guess_of(self.robot), arrival_mean="smoothed")
+        return estimator(self.robot, guess_of(self.robot), horizon=N, arrival_mean="smoothed")
 
     def make_ekf(self):
         return filter_of(self.robot)
 
     def make_rhc(self):
-        return controller(self.robot)
+        return controller(self.robot, horizon=N)
 
     def readings(self, k, run):
         return (self.z[k, run],)
@@ -354,7 +355,7 @@ def refusals():
     dates = np.full(p.shape, "2026-11-23", dtype="datetime64[D]")
     for wrong in (p + 1j, dates):
         yield f"^p {numbers}", lambda: batch.feedback(x, wrong, x_ref, u_ref)
-    yield "^z had shape ", lambda: of_rhe.feedback(np.zeros((RUNS, 9)))
+    yield "^z_N had shape ", lambda: of_rhe.feedback(np.zeros((RUNS, 9)))
     for runs in ([99], -12, 1.5, "all", np.ones(RUNS + 1, dtype=bool)):
         yield r"^runs was .* from 0 to 10, or a mask \(11,\)", lambda: of_ekf.restart(runs)
     for n in (0, -1, 2.5, "3", None):

@@ -2,6 +2,8 @@
 problems it finds what IPOPT finds.
 """
 
+import functools
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -74,14 +76,12 @@ CAR = dict(
 )  # fmt: skip
 
 
-def model(problem):
-    return rhec.Model(
-        states=problem["states"],
-        inputs=problem["commands"],
-        parameters=problem["parameters"],
-        outputs=problem["states"][:1],
-        f=problem["f"],
-    )
+@functools.cache
+def model(f):
+    """The model of the problem with this f."""
+    (problem,) = (each for each in (CART, UNICYCLE, CAR) if each["f"] is f)
+    names = dict(states=problem["states"], inputs=problem["commands"], f=f)
+    return rhec.Model(**names, parameters=problem["parameters"], outputs=problem["states"][:1])
 
 
 def options_of(problem, **options):
@@ -89,7 +89,7 @@ def options_of(problem, **options):
     given = dict(command=problem["commands"], dt=problem["dt"], horizon=problem["N"])
     given |= dict(qn_factor=10.0)
     given |= {name: problem[name] for name in ("q", "r", "bounds")}
-    given |= dict(model=model(problem), outputs=problem["outputs"] or None)
+    given |= dict(model=model(problem["f"]), outputs=problem["outputs"] or None)
     return given | options
 
 

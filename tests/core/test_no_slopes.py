@@ -60,6 +60,7 @@ def test_the_estimate_stays_finite_and_finds_back(virtual_machine, estimator):
         assert estimator is rhec.EKF or not all(oks)
 
 
+@pytest.mark.nightly
 def test_a_batch_finds_back_as_single_estimators_do(virtual_machine):
     measured = np.stack([drained_and_filled(seed)[1] for seed in SEEDS], axis=1)
     singles = [rhec.RHE(**settings_of(rhec.RHE)) for _ in SEEDS]

@@ -96,8 +96,9 @@ ESTIMATORS = [
     ("sigma_guess", dict(sigma_guess=(1e7, 1.0, 1.0, 1.0, 1.0))),
     ("dt", dict(dt=0.0)),
     ("model", dict(model="tracked")),
-    ("outputs", dict(model=rhec.Model(states="x", f=lambda x, u, p: x), guess=(0.0,))),
+    ("outputs", dict(model=rhec.Model(**ROBOT.model | dict(outputs=(), h=None)), sigma_v=())),
 ]
+HARD, SOFT = dict(x_m=(-1, 1)), rhec.Bound(-1, 1, linear=1)
 CONTROLLERS = [
     ("command", dict(command=("v_left_mps", "v_middle_mps"))),
     ("command", dict(command=("v_left_mps", "v_left_mps"))),
@@ -107,9 +108,9 @@ CONTROLLERS = [
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (1, -1)})),
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (np.nan, 1)})),
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": "fast"})),
-    ("bounds", dict(bounds=BOUNDS | {"v_left_mps": rhec.Bound(-1, 1, linear=1)})),
+    ("bounds", dict(bounds=BOUNDS | {"v_left_mps": SOFT})),
     ("delta_bounds", dict(delta_bounds=dict(x_m=(-1, 1)))),
-    ("terminal_bounds", dict(terminal_bounds=dict(x_m=rhec.Bound(0, 1, linear=1)))),
+    ("terminal_bounds", dict(bounds=BOUNDS | HARD, terminal_bounds=dict(x_m=SOFT))),
     ("outputs", dict(outputs=("speed",))),
     ("outputs", dict(outputs=dict(speed=lambda x, u, p: x))),
     ("outputs", dict(outputs=dict(speed=3))),
@@ -183,7 +184,7 @@ REFERENCES = [
 ]
 ITERATIONS = [None, [3], "3", 2.5, -1, 10**400]
 NOISES = [(1.0, 2.0), -np.ones(5), "abc", np.nan, np.ones((4, 5))]
-COMMANDS = [(1.0, 2.0), "a", ["a"], {}]
+COMMANDS = [(1.0, 2.0, 3.0), "a", ["a"], {}]
 U_PLAN = np.zeros((2, N))
 U_PLAN[0, 7] = np.nan
 PLANS = [
@@ -219,7 +220,7 @@ def test_a_call_that_does_not_fit_is_refused_in_one_sentence():
         refuses("u_before", lambda: changing.feedback(**STRAIGHT, u_before=bad))
         refuses("u_before", lambda: changing.restart(u_before=bad))
     refuses("u_before", lambda: mpc.feedback(**STRAIGHT, u_before=(1.0, 1.0)))
-    refuses("bounds", lambda: mpc.update(bounds=BOUNDS | dict(x_m=(-1, 1))))
+    refuses("bounds", lambda: mpc.update(bounds=BOUNDS | HARD))
     refuses("update", lambda: mpc.update(weights=(1, 1)))
     assert np.isfinite(mhe.feedback(z).x).all() and np.isfinite(mpc.feedback(**STRAIGHT)).all()
 

@@ -19,11 +19,11 @@ STRAIGHT = dict(
 
 
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
-    """On 60 random instances, each with weights of its own; at least a third of them at the
+    """On 30 random instances, each with weights of its own; at least a third of them at the
     bounds.
     """
     rng, bounded = np.random.default_rng(0), 0
-    instances = 60
+    instances = 30
     for k in range(instances):
         problem, weights = rhc_instance(rng), rhc_weights(rng)
         rhc = rhc_by(SOLVERS[k % 3], **weights)

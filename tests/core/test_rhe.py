@@ -38,9 +38,9 @@ def first_memory(guess, sigma, speed_model="parameter"):
 
 def window_memory(*window):
     """As of `oracles`, before the first position, which is never rejected."""
-    return oracles.window_memory(*window) | paper_rhe.JUDGE.first(
-        paper_rhe.window_of(choice_of("rhe", N))
-    )
+    of_judge = paper_rhe.JUDGE.memory(paper_rhe.window_of(choice_of("rhe", N)))
+    nothing = {name: np.zeros(shape) for name, shape in of_judge.items()}
+    return oracles.window_memory(*window) | nothing
 
 
 def feed(rhe, z, **iterations):
@@ -57,12 +57,12 @@ def feed(rhe, z, **iterations):
 
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model):
-    """On 110 random full windows each; at least 30 % of them with a traction coefficient at its
+    """On 60 random full windows each; at least 30 % of them with a traction coefficient at its
     bound.
     """
     rng, keep, bounded = np.random.default_rng(0), places(speed_model), 0
     phases = build_phases(speed_model)
-    for _ in range(110):
+    for _ in range(60):
         z, m, P = rhe_instance(rng, speed_model)
         memory, answer, tolerances = iterate(
             phases, window_memory(z, m, P, speed_model), dict(z_N=z[-1]), dict(V=V), 12
@@ -74,7 +74,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(speed_model)
         )
         assert tolerances[-1] < 1e-9 < tolerances[0]
         bounded += np.any(flat(answer["estimate"])[4:] == 1)
-    assert 33 <= bounded <= 100
+    assert 18 <= bounded <= 55
 
 
 def test_without_a_guess_it_begins_at_the_first_reading():

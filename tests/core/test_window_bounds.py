@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from oracles import draw, drive_robot, limits, window_by_ipopt
+from oracles import draw, drive_robot, limits, robots_model, window_by_ipopt
 from robots import BICYCLE, CART, DT, SKID_STEERED
 
 import rhec
@@ -29,9 +29,9 @@ def instance(robot, rng, samples):
 
 
 def bounded(robot, guess, horizon, **more):
-    robots_model = rhec.Model(**robot.model, state_bounds=NARROW[robot])
+    model = robots_model(robot, tuple(NARROW[robot].items()))
     options = dict(dt=DT, horizon=horizon, arrival_mean="filtered") | robot.estimator | more
-    return rhec.RHE(model=robots_model, guess=tuple(guess), **options)
+    return rhec.RHE(model=model, guess=tuple(guess), **options)
 
 
 def at_a_bound(robot, states):

@@ -19,7 +19,7 @@ def noise_of_samples(robot, rng, samples):
 
 # First: from its first use on, the fixture `virtual_machine` takes the compiler away.
 @pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("name", ["bicycle", "skid_steered"])
+@pytest.mark.parametrize("name", ["cart", "bicycle", "skid_steered"])
 def test_runs_of_a_batch_have_noise_of_their_own(name):
     """The same bits as single objects, iterated and not, with absurd samples among them."""
     robot, rng, runs = ROBOTS[name], np.random.default_rng(3), 5

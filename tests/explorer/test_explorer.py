@@ -269,7 +269,7 @@ def test_a_small_change_is_one_message_and_leaves_the_limits(made, monkeypatch):
     made.inputs["q", 1].value = 1.5
     (names,) = sent
     # The status has the milliseconds of the run, which may be the same twice.
-    assert {"numbers", "table", "line"} <= names and limits() == before
+    assert {"numbers", "line"} <= names and limits() == before
 
 
 # What cannot be

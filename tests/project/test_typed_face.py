@@ -16,6 +16,7 @@ from rhec.core.batch.batch import EKFBatch, RHEBatch
 from rhec.core.estimator.rhe import RHE
 from rhec.simulation.metrics import Metrics
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 Array = NDArray[Any]
 SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
 

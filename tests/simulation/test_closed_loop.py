@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import SIMPLE_WORLD, no_compiler
+from helpers import SIMPLE_WORLD
 from oracles import flat
 
 import rhec
@@ -16,6 +16,7 @@ from rhec.tracked_robot import terrain
 COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
     omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 MEASURED = ["x_meas_m", "y_meas_m"]
 MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
 
@@ -169,8 +170,7 @@ def test_metrics_are_what_the_log_says(changes):
 
 
 def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
-    with no_compiler():
-        run = simulated(start_offset_m=-30.0)
+    run = simulated(start_offset_m=-30.0)
     assert np.isnan(run.metrics["settling_time_s"])
     assert run.metrics["mean_error_m"] == pytest.approx(run.log["error_m"].mean())
 
@@ -200,8 +200,7 @@ def test_a_delayed_command_is_the_one_before():
 def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
     """The gate cannot tell it from outliers before the fourth sample: the window restarts there."""
     x_m, y_m, radius_m = 15.0, 0.0, 2.0
-    with no_compiler():
-        log = simulated(patches=((x_m, y_m, radius_m, 0.4, 0.4),)).log
+    log = simulated(patches=((x_m, y_m, radius_m, 0.4, 0.4),)).log
     inside = np.hypot(log["x_m"] - x_m, log["y_m"] - y_m) < radius_m
     edges = np.flatnonzero(np.diff(inside.astype(int)))
     rejected = np.flatnonzero(log["ok"] != 1)
@@ -218,8 +217,7 @@ def test_soil_that_changes_at_once_costs_three_samples_at_each_edge_of_it():
 def test_terrain_and_path_of_ones_own():
     soil = rhec.Terrain.uniform(0.7, 0.6)
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
-    with no_compiler():
-        run = simulated(terrain=soil, path=path, start_offset_m=-0.3)
+    run = simulated(terrain=soil, path=path, start_offset_m=-0.3)
     assert run.terrain is soil and run.path is path
     np.testing.assert_allclose(run.log[["mu", "kappa"]], [[0.7, 0.6]] * 300, atol=1e-12)
     start = 3 + 0.3 * np.sin(2), -2 - 0.3 * np.cos(2), 2

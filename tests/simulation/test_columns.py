@@ -3,10 +3,13 @@
 import re
 from pathlib import Path
 
+import pytest
+
 import rhec
 from rhec.simulation import columns
 from rhec.simulation.metrics import METRICS
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 PAGE = (Path(__file__).parents[2] / "docs/log_columns.md").read_text(encoding="utf-8")
 LISTS = [name for name in vars(columns) if name.isupper() and name != "LOG"]
 

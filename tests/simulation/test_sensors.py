@@ -9,6 +9,7 @@ import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 BOTH = ("gyro", "heading")
 SHORT = rhec.Scenario(
     duration_s=60.0, process_noise="consistent", speed_model="input", sensors=BOTH, seed=3
@@ -24,7 +25,7 @@ def of_gyro(kind, **fields):
 
 
 @pytest.fixture(scope="module")
-def measured():
+def measured(virtual_machine):
     return changed()
 
 

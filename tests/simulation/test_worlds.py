@@ -7,6 +7,7 @@ from helpers import SIMPLE_WORLD
 import rhec
 from rhec.tracked_robot import plant
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 DT, SUBSTEPS, WIDTH_M = 0.2, 10, 0.4
 ALL_AT_ONCE = dict(
     soil_under="tracks",
