@@ -8,6 +8,7 @@ import argparse
 import ast
 import contextlib
 import difflib
+import html
 import json
 import logging
 import os
@@ -70,7 +71,7 @@ def parameters(namespace):
     Raises:
         ParameterError: If a parameter is unknown or invalid; the message is one sentence.
     """
-    from rhec.simulation.validated import validated
+    from rhec.core._casadi.validation import validated
 
     types = {}
     for source in namespace["In"]:
@@ -184,13 +185,19 @@ def run(notebook, values, output):
 def _describe_pictures(notebook):
     """Give the pictures of an executed notebook the captions above them as alternative texts.
 
-    A cell that shows several describes each of them itself.
+    A cell that shows several may describe each of them itself.
     """
     for cell, caption in captions.with_captions(notebook):
         for output in cell.outputs:
-            if "image/png" in output.get("data", {}):
+            png = output.get("data", {}).get("image/png")
+            if png:
                 picture = output.metadata.setdefault("image/png", {})
-                picture.setdefault("alt", captions.alternative_text(caption))
+                alt = picture.setdefault("alt", captions.alternative_text(caption))
+                # JupyterLab and nbconvert show no `alt` of a PNG; both prefer HTML to it.
+                output.data["text/html"] = (
+                    f'<img alt="{html.escape(alt)}" style="max-width: 100%" '
+                    f'src="data:image/png;base64,{"".join(png.split())}">'
+                )
 
 
 @contextlib.contextmanager

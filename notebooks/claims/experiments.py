@@ -14,7 +14,9 @@ import pandas as pd
 from scipy import optimize
 
 import rhec
+from notebooks.claims.live_robot import LiveRobot
 from notebooks.studies import timing
+from notebooks.studies.parallel import parallel_map
 from rhec import paper
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -24,10 +26,8 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
-from rhec.simulation.campaigns.map import parallel_map
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, POSE
-from rhec.simulation.live_robot import LiveRobot
 from rhec.simulation.metrics import rms, settled_samples
 from rhec.simulation.offline import SETTLED_S
 from rhec.simulation.scenario import Scenario
@@ -458,7 +458,7 @@ def _tasks(process_noise, name, seeds):
     if name == "search":
         return [partial(lowest_traction, process_noise)]
     if name == "arrival_cost":
-        n = max(2, seeds * 32 // 1000)
+        n = max(2, seeds * 64 // 1000)
         parts = [range(n)[first : first + _RUNS_AT_ONCE] for first in range(0, n, _RUNS_AT_ONCE)]
         return [partial(_arrival_costs, process_noise, part) for part in parts]
     return [partial(_iterations, process_noise, seed) for seed in range(max(2, seeds // 100))]

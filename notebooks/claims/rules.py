@@ -163,11 +163,6 @@ _EXACT_RULES = {  # name: {condition: Condition}
 # Rules on tables
 
 
-def _share_twice(one, other, **bounds):
-    """The share of pairs where one is more than twice the other."""
-    return statistics.share(one > 2 * other, **bounds)
-
-
 _RULES = {
     "always": statistics.always,
     "always_relative_to_oracle": statistics.always_relative_to_oracle,
@@ -178,7 +173,7 @@ _RULES = {
     "relative_to_oracle": statistics.relative_to_oracle,
     "reported": statistics.reported,
     "share": statistics.share,
-    "share_twice": _share_twice,
+    "share_twice": statistics.share_twice,
 }
 _EVERY_CASE = "every case"
 _BOUNDS = dict(always=_EVERY_CASE, always_relative_to_oracle=_EVERY_CASE)

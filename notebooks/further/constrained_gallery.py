@@ -32,20 +32,6 @@ def obstacle(discrete=True):
     return ControlProblem(options, (0.0, 0.0, 0.0), (1.5, 1.5, 0.0), 100, 3)
 
 
-def double_integrator():
-    """The constrained double integrator of the Multi-Parametric Toolbox (N = 5)."""
-
-    def f(x, u, p):
-        return ca.vertcat(x[0] + x[1] + u, x[1] + 0.5 * u)
-
-    names = dict(states=("position", "velocity"), inputs=("acceleration",))
-    model = Model(**names, parameters={}, outputs=("position",), f=f, discrete=True)
-    bounds = dict(position=(-5.0, 5.0), velocity=(-5.0, 5.0), acceleration=(-1.0, 1.0))
-    options = dict(model=model, command=model.inputs, bounds=bounds, dt=1.0, horizon=5)
-    options |= dict(q=(1.0, 1.0), r=(1.0,), qn_factor=1.0)
-    return ControlProblem(options, (4.5, 1.4), (0.0, 0.0), 20)
-
-
 def lotka_volterra():
     """Prey whose inflow keeps predators above a number, after OpEn (N = 20), from another start."""
 

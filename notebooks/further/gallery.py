@@ -78,27 +78,6 @@ def pendulum():
     return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
 
 
-def furuta():
-    """The swing-up of a Furuta pendulum, after acados' example, on a uniform grid of 25 ms."""
-
-    def f(x, u, p):
-        _, theta, v, w = ca.vertsplit(x)
-        rod = 2.5164e-3  # inertia [kg m²]
-        sin = -ca.sin(theta)
-        coupling = -1.8978e-3 * ca.cos(theta)
-        twist = rod * ca.sin(2 * theta) / 2
-        inertia = ca.blockcat([[2.6705e-3 + rod * sin**2, coupling], [coupling, rod]])
-        first = u - (4e-3 + w * twist) * v - (v * twist - 1.8978e-3 * sin * w) * w
-        second = v**2 * twist - 0.196 * rod * w - 0.17988 * sin
-        return ca.vertcat(v, w, ca.solve(inertia, ca.vertcat(first, second)))
-
-    states = ("arm_rad", "theta_rad", "v_radps", "w_radps")
-    model = Model(states=states, inputs=("torque_Nm",), parameters={}, outputs=states, f=f)
-    options = dict(model=model, command=("torque_Nm",), bounds={"torque_Nm": (-0.45, 0.45)})
-    options |= dict(q=(50.0, 500.0, 1.0, 1.0), r=(1e3,), qn_factor=1.0, dt=0.025, horizon=20)
-    return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
-
-
 def unicycle():
     """A unicycle with force and torque that drives to a point, after acados (N = 50)."""
 

@@ -272,6 +272,12 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     return Finding(value, float(low), float(high), n, outcome, above, below, p)
 
 
+def share_twice(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge the share of pairs in which one is more than twice the other."""
+    one, other = _checked(one, other)
+    return share(one > 2 * other, above, below, confidence)
+
+
 def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):
     """Judge a share of flags relative to the oracle: fields where the oracle fails are left out."""
     flags, oracle = _checked(flags, oracle)

@@ -37,6 +37,7 @@ _MOST_JUMPS = 2e-4  # share of positions
 _SILENT_S = 30.0
 _MOVED_M = 1.0  # while nothing was recorded
 _STANDING = 0.3  # a robot that drove and turned less than this [m, rad] never moved
+_LEAST_ROWS = 50  # of a robot that could have moved
 _LEAST_DRIVEN_M = 20.0
 _LEAST_TURNED_RAD = 3.0
 _STRAIGHT = 1e-3  # of a step between positions, and as much as logs round [m]:
@@ -83,7 +84,7 @@ def refuse(recording: Recording) -> None:
     Warns:
         UserWarning: Such as that the positions are late.
     """
-    for finding in findings(recording):
+    for finding in chain.from_iterable(check(recording) for check in _CHECKS):
         if finding.severity is Severity.ERROR:
             raise ValueError(finding.fact)
         if finding.severity is Severity.WARNING:
@@ -223,7 +224,7 @@ def _check_standing(recording):
     farthest = max(travelled(rows, column, _WINDOW_S) for column in (_NU, _OMEGA))
     driven_m = travelled(rows, _NU)
     turned_rad = travelled(rows, _OMEGA)
-    if farthest < _STANDING:
+    if farthest < _STANDING and len(rows) >= _LEAST_ROWS:
         speeds = ", ".join(dict.fromkeys(recording.columns[name] for name in (_NU, _OMEGA)))
         yield refused(
             f"the log's {speeds} should be of a robot that moves: it drove and turned "

@@ -15,7 +15,6 @@ from scipy.integrate import cumulative_trapezoid
 
 from rhec.logs import minimum
 from rhec.logs.finding import Finding, Severity, note, refused
-from rhec.logs.recording import POSITION_AGE
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -127,17 +126,11 @@ class _Track(NamedTuple):
     turned: np.ndarray  # (m,) angle turned until then [rad]
 
 
-def _positions(rows):
-    """Rows with a position, at the times at which these were measured."""
-    age_s = rows.get(POSITION_AGE, 0.0)
-    return rows.assign(t_s=rows["t_s"] - age_s).dropna(subset=[*_POSITION, "t_s"])
-
-
 def _tracks(rows):
     """The _Track of each segment that has three positions and three encoder measurements."""
     tracks = []
     for _, part in rows.groupby("segment"):
-        t, x, y = _positions(part)[["t_s", *_POSITION]].to_numpy().T
+        t, x, y = part[["t_s", *_POSITION]].dropna().to_numpy().T
         speeds = part[["t_s", *_ENCODERS]].dropna()
         if min(len(t), len(speeds)) >= 3:
             t_encoders = speeds["t_s"].to_numpy()
@@ -306,7 +299,7 @@ def check_clock_offset(recording):
     the encoders.
     """
     rows = recording.rows
-    step = _by_second(_positions(rows), _POSITION).last().diff()
+    step = _by_second(rows.dropna(subset=_POSITION), _POSITION).last().diff()
     step = step[step.index.diff() == 1]
     path_mps = pd.Series(np.hypot(*step.to_numpy().T), step.index)
     speed_mps = _by_second(rows.dropna(subset=_ENCODERS), _ENCODERS[0]).mean().abs()

@@ -15,7 +15,7 @@ from rhec.simulation.columns import MEASUREMENTS
 LEAST_M = paper.SIGMA_V[0]  # a smaller noise is not told apart from the errors of the model
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
-_MOST_APART = 2.5  # a gap of the positions, over their median period
+_MOST_APART = 1.5  # time between two positions, over its median
 _LEAST = 20  # differences; fewer tell nothing
 
 

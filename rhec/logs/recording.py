@@ -116,14 +116,14 @@ def prepare(log, track_width_m=None):
     _drop_implausible(values, columns, present)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
-    values, places = _joined(values)
+    values, places, n_repeated = _joined(values)
     rows, usable = _usable_rows(values, len(log), paper.DT_S)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
     faults = dict(
         rows=len(log),
-        unusable_times=len(values) - len(rows),
+        unusable_times=len(values) - len(rows) + n_repeated,
         positions_held=int(is_held.sum()),
         positions_flagged=flagged,
         clock_back_s=_set_back_s(values),
@@ -194,9 +194,9 @@ def prepare_for(model, dt_s, log, delays_s=None):
     columns = {name: name for name in model.outputs}
     values = _parse(log, columns)
     _drop_implausible(values, columns, dict(zip(columns, model.limits)))
-    values, places = _joined(values)
+    values, places, n_repeated = _joined(values)
     rows, usable = _usable_rows(values, len(log), dt_s)
-    faults = dict(rows=len(log), unusable_times=len(values) - len(rows))
+    faults = dict(rows=len(log), unusable_times=len(values) - len(rows) + n_repeated)
     inputs = [model.outputs[row] for row in model.input_outputs.values()]
     gaps_s = {
         name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period_s(rows, name)) for name in inputs
@@ -260,12 +260,18 @@ def _leave_out_flagged(values, log):
 
 
 def _joined(values):
-    """The rows, those of one time as one row with what each of them measured, and their places.
+    """Join the rows of one time, as sensors that are logged in rows of their own make them.
 
-    So sensors that were logged in rows of their own stand in one.
+    Returns:
+        The rows, with the first number of each column, their places in the log, and the number of
+        rows in which a sensor measured again at the same time.
     """
-    begins = ~(values[["segment", "t_s"]].diff() == 0).all(axis=1)
-    return values.groupby(begins.cumsum()).first(), np.flatnonzero(begins)
+    times = values[["segment", "t_s"]]
+    begins = ~(times.diff() == 0).all(axis=1)
+    run = begins.cumsum()
+    repeats = (values.drop(columns=[*times]).groupby(run).count() > 1).any(axis=1)
+    n_repeated = int((~begins & run.map(repeats)).sum())
+    return values.groupby(run).first(), np.flatnonzero(begins), n_repeated
 
 
 def _set_back_s(values):

@@ -126,6 +126,10 @@ WRONG = {
     "time in ns": (LOG.assign(t_s=1e9 * T), "t_s may be in ns"),
     "time constant": (LOG.assign(t_s=7.0), "t_s can be used in 1 of 1500 rows; it may be constant"),
     "time rounded": (LOG.assign(t_s=SIX_DIGITS), "t_s can be used in 1 of 1500 rows"),
+    "rows twice": (
+        pd.concat([LOG, LOG[::3]]).sort_values("t_s"),
+        "25% of the rows have times that",
+    ),
     "time missing": (LOG.assign(t_s=T.where(LOG.index % 5 > 0)), "20% of the rows have times that"),
     "a segment for each row": (LOG.assign(segment=range(1500)), "segment has 1500 values in 1500"),
     "segments that are lists": (LOG.assign(segment=[[1]] * 1500), "segment should be one column"),
@@ -231,9 +235,12 @@ HEALTHY = {
     "simulated": LOG,
     "slower": recorded_log(5.0, 120.0, noise_m=0.03),
     "the example": EXAMPLE,
+    "without noise": recorded_log(10.0, 100.0),
+    "without slip": noisy(0.02, integrated()),
     "in UTM": LOG.assign(x_m=X + 5e5, y_m=Y + 5e6),
     "with a gyro": gyro(bias=0.02),
     "with a heading": heading(),
+    "late, then early": pd.concat([late(0.5)[:750], late(-0.6)[750:]]),  # by no one delay
     "in rows of their own": in_rows_of_their_own(0.05),
     "one row late": late(0.1),
     "a wrapped truth": LOG.assign(yaw_true_rad=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),

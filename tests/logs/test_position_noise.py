@@ -1,6 +1,7 @@
 """The noise of positions is asked of the log."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import may_be_unsure, recorded_log
 
@@ -20,6 +21,18 @@ def thinned(log, rate_hz):
 def test_the_noise_of_positions_is_found_at_every_rate(sigma_m, rate_hz):
     log = thinned(recorded_log(10.0, 200.0, noise_m=sigma_m, seed=4), rate_hz)
     assert position_sigma_m(prepare(log).rows) == pytest.approx(sigma_m, rel=0.15)
+
+
+def test_positions_that_are_missing_and_a_robot_that_stands_do_not_hide_the_noise():
+    """While it stands, a receiver may smooth its positions."""
+    log = recorded_log(10.0, 200.0, noise_m=0.05, seed=4)
+    rng = np.random.default_rng(0)
+    log.loc[rng.random(len(log)) < 0.3, ["x_m", "y_m"]] = np.nan
+    stands = log.iloc[[900] * 4000].assign(speed_mps=0.0, yaw_rate_radps=0.0)
+    stands[["x_m", "y_m"]] = 1e-4 * rng.standard_normal((len(stands), 2))
+    both = pd.concat([log, stands], ignore_index=True)
+    both["t_s"] = 0.1 * both.index
+    assert position_sigma_m(prepare(both).rows) == pytest.approx(0.05, rel=0.15)
 
 
 def test_no_noise_and_few_positions_give_the_least():

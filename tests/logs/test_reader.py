@@ -18,7 +18,6 @@ from written_bags import (
 )
 
 import rhec
-from rhec.simulation.columns import ESTIMATE
 
 T = np.arange(0, 20, 0.1).round(3)
 LOG = pd.DataFrame(
@@ -227,18 +226,6 @@ def test_what_is_no_path_is_refused_in_a_sentence(path):
 KINDS = ["bag", "folder", "mcap"]
 
 
-def curve(t):
-    """Position of a robot that drives at 0.8 m/s and turns, with slip; its speed and yaw rate."""
-    yaw = 0.4 * np.sin(0.4 * t)
-    v = 0.9 * 0.8
-    fine = np.linspace(0, t[-1], 20 * len(t))
-    x, y = (
-        np.interp(t, fine, np.append(0, np.cumsum(np.diff(fine) * each[1:])))
-        for each in (v * np.cos(0.4 * np.sin(0.4 * fine)), v * np.sin(0.4 * np.sin(0.4 * fine)))
-    )
-    return x, y, np.full(len(t), 0.8), 0.16 * np.cos(0.4 * t) / 0.75, yaw
-
-
 def test_columns_without_names_are_numbered(tmp_path):
     """As `ros2 topic echo --csv` writes them, with the two numbers of a stamp."""
     file = tmp_path / "echo.csv"
@@ -261,18 +248,16 @@ def shuffled(messages, reach_s=0.3):
     return [messages[i] for i in np.argsort([each[2] for each in messages] + late)]
 
 
-B, RADIUS = 0.5, 0.2
+RADIUS = 0.2
+RANDOM = np.random.default_rng(0)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
-    """Odometry and wheel speeds, out of order: every message is there, at its own time, once; and
-    the estimates from it are those from the table that it was made of.
-    """
+    """Odometry and wheel speeds, out of order: every message is there, at its own time, once."""
     positions, wheels = stamps(30.0, 120.0, 1), stamps(50.0, 120.0, 2)
-    x, y, *_ = curve(positions)
-    _, _, speed, yaw_rate, yaw = curve(wheels)
-    tracks = np.array([speed - B / 2 * yaw_rate, speed + B / 2 * yaw_rate])
+    x, y = RANDOM.normal(size=(2, len(positions)))
+    tracks = RANDOM.normal(size=(2, len(wheels)))
     messages = [
         ("/odom", "nav_msgs/msg/Odometry", START_NS + round(t * 1e9), odometry(*at, 9.9, 9.9))
         for t, *at in zip(positions, x, y)
@@ -295,23 +280,13 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
     told = log.attrs["inferred"]
     assert told["positions"].startswith(f"/odom, nav_msgs/msg/Odometry, {len(positions)} ")
     assert "0 out of order" not in told["encoders"]
-    table = pd.DataFrame(dict(t_s=positions - first, x_m=x, y_m=y)).merge(
-        pd.DataFrame(dict(t_s=wheels - first, v_left_mps=tracks[0], v_right_mps=tracks[1])),
-        how="outer",
-    )
-    given = dict(track_width_m=B, process_noise="likelihood", speed_model="input")
-    estimates, expected = (
-        rhec.replay(each, **given, first_yaw_rad=0.0)[ESTIMATE] for each in (log, table)
-    )
-    np.testing.assert_allclose(estimates, expected, atol=1e-5)
-    assert estimates["mu_hat"].median() == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.fixture(scope="module")
 def many(tmp_path_factory):
-    """A bag with all types, of 60 s."""
+    """A bag with all types, of 10 s."""
     t = np.arange(0, 10, 0.1)
-    x, y, speed, yaw_rate, _ = curve(t)
+    x, y, speed, yaw_rate = RANDOM.normal(size=(4, len(t)))
     degrees = degrees_of(pd.DataFrame(dict(x_m=x, y_m=y)), 46.78)
     messages = []
     for row, when in enumerate(t):

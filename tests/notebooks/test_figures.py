@@ -253,6 +253,12 @@ def test_table_a_equals_the_logs(by_weight, sweep_a):
         )
         assert (table.loc[weight, "n"] == len(SEEDS)).all()
     mean = table["mean"]
+    for row in table[table["claim"] == "at least 2"].itertuples():
+        expected = "holds" if row.low > 2 else "does not hold" if row.high < 2 else "undecided"
+        assert row.verdict == expected
+    slow = sweep_a.assign(settling_time_s=sweep_a["weight"].map(dict(Q1=9.0, Q3=3.0)).fillna(4.0))
+    judged = scenario_a_table(slow).set_index("weight")["verdict"]
+    assert judged["Q1 / Q3"] == "holds"
     assert mean["Q1 / Q3", "settling time, ratio"] == pytest.approx(
         mean["Q1", "settling time [s]"] / mean["Q3", "settling time [s]"]
     )
@@ -291,6 +297,9 @@ def test_at_most_none_includes_none_and_below_zero_does_not_include_zero(sweep_b
     violations = table[table["quantity"] == "violations on straights, raw GNSS"]
     verdicts = violations.set_index("estimator")["verdict"]
     assert (verdicts["RHE"] == "holds").all()
+    once = scenario_b_table(sweep_b.assign(violations=1.0 * (np.arange(len(sweep_b)) == 0)))
+    of_rhe = once[once["claim"] == "at most 0"].set_index("process_noise")["verdict"]
+    assert of_rhe.to_dict() == dict(printed="does not hold", likelihood="holds")
     assert set(verdicts["RHE - EKF"]) == {
         "does not hold",
         "its rival is lost",

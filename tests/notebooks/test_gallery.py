@@ -7,13 +7,8 @@ from notebooks.further import constrained_gallery as constrained
 from notebooks.further import gallery
 from notebooks.further.gallery_plots import around_the_obstacle, controlled, estimated
 
-UNCONSTRAINED = (gallery.pendulum, gallery.furuta, gallery.unicycle)
-CONTROL = (
-    *UNCONSTRAINED,
-    constrained.double_integrator,
-    constrained.lotka_volterra,
-    constrained.cstr,
-)
+UNCONSTRAINED = (gallery.pendulum, gallery.unicycle)
+CONTROL = (*UNCONSTRAINED, constrained.lotka_volterra, constrained.cstr)
 ESTIMATION = (gallery.range_bearing, gallery.mass_on_a_spring, gallery.masses)
 
 
