@@ -290,7 +290,7 @@ def test_how_many_positions_count_is_always_said():
     [
         ([*LOG], 0.6, 0.6, "as given"),
         ([*LOG], None, TRACK_WIDTH_M, "by the log's v_left_mps, v_right_mps and yaw_rate_radps"),
-        (["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps"], None, paper.TRACK_WIDTH_M, "paper's"),
+        ([*LOG.columns[:5]], None, paper.TRACK_WIDTH_M, "the paper's"),
     ],
 )
 def test_the_track_width_has_a_source(columns, given_m, width_m, source):
