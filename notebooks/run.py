@@ -71,7 +71,7 @@ def parameters(namespace):
     Raises:
         ParameterError: If a parameter is unknown or invalid; the message is one sentence.
     """
-    from rhec.simulation.validated import validated
+    from rhec.core._casadi.validation import validated
 
     types = {}
     for source in namespace["In"]:

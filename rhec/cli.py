@@ -371,19 +371,16 @@ def log(file: str, /, *, output: Path | None = None, overwrite: _Flag = False, *
             and paths of rhec replay.
         overwrite: Replace files of these names.
     """
-    from rhec.logs.outputs import FILES, FILES_OF_SUMMARY, write_estimates, write_summary
+    from rhec.logs.outputs import FILES, FILES_OF_SUMMARY, write_summary
 
     if output:
         _refuse_tables("output", output, overwrite, (*FILES, *FILES_OF_SUMMARY))
-    recorded = _log_of(file, given)
-    arguments = _given_to(rhec.log, given)
-    summary = rhec.log(recorded, **arguments)
+    summary = rhec.log(_log_of(file, given), **_given_to(rhec.log, given))
     print(summary)
     if summary.samples is None:
         return 1
     if output:
         write_summary(summary, output)
-        write_estimates(rhec.replay(recorded, **arguments), output)
     return 0
 
 

@@ -50,6 +50,7 @@ SHOWN = ("furo", "Sphinx", "myst-nb", "Pygments")
 _PAPERS_TABLES = ("table1", "table_scenario_a", "table_scenario_b", "claims")
 # Names of what a cell saves: `style.save(figure, "fig08_errors")`.
 _SAVED = re.compile(r'\bsave(?:_table)?\([^,]+,\s*"(\w+)"')
+_SHOWN_PNG = re.compile(r"(_images/[\w.-]+)\.png")
 
 
 def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
@@ -73,10 +74,13 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         tags = ["live"] if live else []
         doctrees = Path(folder) / "doctrees"
         Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
+        for file in site.rglob("*.map"):  # of the theme's sources, which are not there
+            file.unlink()
         for file in (site / "_images").glob("*.png"):
             _shrink(file)
         for file in site.rglob("*.html"):
-            file.write_text(with_policy(file.read_text(encoding="utf-8")), encoding="utf-8")
+            text = _SHOWN_PNG.sub(r"\1.webp", file.read_text(encoding="utf-8"))
+            file.write_text(with_policy(text), encoding="utf-8")
         if live:
             page.write(site)
         shutil.rmtree(report, ignore_errors=True)
@@ -84,12 +88,14 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
 
 
 def _shrink(png):
-    """Leave a picture 256 colours, which takes a third of the bytes; the PDFs have all."""
+    """Make a picture a WebP with 128 colours, which takes a quarter of the bytes."""
     with Image.open(png) as picture:
         # Over white, as on paper: a palette with transparency has few opaque colours.
         paper = Image.new("RGBA", picture.size, "white")
         paper.alpha_composite(picture.convert("RGBA"))
-        paper.convert("RGB").quantize(256).save(png, optimize=True)
+        colours = paper.convert("RGB").quantize(128).convert("RGB")
+        colours.save(png.with_suffix(".webp"), lossless=True, quality=100)
+    png.unlink()
 
 
 def _lay_out(source, notebooks, figures, live):
@@ -220,7 +226,10 @@ def _figures_page(stories, captions, folder):
             each for each in figures if each[1] == place and each not in of_paper
         ]
     text = "---\nhide-toc: true\n---\n\n# Figures\n\n"
-    text += "Each file carries the scenario and the notebook that made it.\n"
+    text += (
+        "`make figures` and `make studies` leave each as PNG and PDF in `figures/`. These files\n"
+    )
+    text += "carry the scenario and the notebook that made them.\n"
     for title, group in groups.items():
         if group:
             gallery = "\n".join(
@@ -229,7 +238,7 @@ def _figures_page(stories, captions, folder):
             )
             text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
     names = sorted((file.stem for file in folder.glob("*.csv")), key=_order_of_table)
-    tables = [f"- {_download(name, 'csv')}" for name in names]
+    tables = [f"- {{download}}`{name}.csv <figures/{name}.csv>`" for name in names]
     return "\n".join([text, "## Tables with all digits\n", *tables, ""])
 
 
@@ -246,7 +255,7 @@ def _figure(file, place, caption):
     return (
         f":::{{figure}} figures/{name}.png\n:name: {name}\n:loading: lazy\n{wide}"
         f":target: {place.with_suffix('.html')}\n:alt: {alternative_text(caption) or name}\n\n"
-        f"{without_links(caption) or name}\n\n{_download(name, 'pdf')}\n:::"
+        f"{without_links(caption) or name}\n\n`figures/{name}.pdf`\n:::"
     )
 
 
@@ -254,10 +263,6 @@ def _is_wide(png):
     """Whether a figure is wider than a column of the paper."""
     with Image.open(png) as picture:
         return picture.width > style.COLUMN_IN * style.RC["savefig.dpi"] + 1
-
-
-def _download(name, kind):
-    return f"`{name}`: {{download}}`{kind} <figures/{name}.{kind}>`"
 
 
 _RUN = """# Notebooks with other parameters

@@ -14,7 +14,9 @@ import pandas as pd
 from scipy import optimize
 
 import rhec
+from notebooks.claims.live_robot import LiveRobot
 from notebooks.studies import timing
+from notebooks.studies.parallel import parallel_map
 from rhec import paper
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -24,10 +26,8 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.model.base import rk4
 from rhec.core.solver.rti import PHASES
-from rhec.simulation.campaigns.map import parallel_map
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, POSE
-from rhec.simulation.live_robot import LiveRobot
 from rhec.simulation.metrics import rms, settled_samples
 from rhec.simulation.offline import SETTLED_S
 from rhec.simulation.scenario import Scenario

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.studies.parallel import map_runs
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
-from rhec.simulation.campaigns.map import map_runs
 from rhec.simulation.campaigns.store import scenario_key
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario

@@ -16,10 +16,10 @@ import pandas as pd
 
 from notebooks.further.rivals import cautious
 from notebooks.further.rivals.tuned_loops import TUNED
+from notebooks.studies.parallel import map_runs
 from notebooks.studies.statistics import over_seeds, share_interval, verdict
 from notebooks.studies.tables import interval_texts
 from rhec import paper
-from rhec.simulation.campaigns.map import map_runs
 from rhec.simulation.metrics import metrics
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS

@@ -4,9 +4,9 @@ Each log is taken at 5 Hz, with white noise on its positions and a wrong first y
 noise seed; the first metres do not count (`notebooks.further.recorded.scores`). All estimators are
 tuned without truth, with a noise seed that no trial has: on the same log, or on the others, in the
 geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
-(`tuning.SLIP`). Its rivals are an EKF with (μ, κ) as states and one with the five parameters of
-`rhec.logs.rivals`, both with noise in proportion to the inputs. They are tuned by the
-likelihood of their innovations, with the same number of evaluations for each unknown as in
+(`tuning.SLIP`). Its rivals are the EKFs of `rhec.logs.rivals`, with (μ, κ) and with five parameters
+of centres of rotation, whose noise has the form of the RHE's. They are tuned by the likelihood of
+their innovations, with the same number of evaluations for each unknown as in
 `notebooks.studies.calibration`.
 
     python -m notebooks.further.transfer [FOLDER [SEEDS]]
@@ -26,13 +26,13 @@ from notebooks.studies.calibration import search
 from notebooks.studies.statistics import over_seeds
 from notebooks.studies.tables import interval_text
 from rhec import paper
-from rhec.core.estimator.base import noise_of
 from rhec.logs import rivals
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare
 from rhec.logs.replay import predictor
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
 from rhec.tracked_robot import slipping
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
@@ -62,34 +62,40 @@ def _noisy(log, seed):
     return log.assign(x_m=log["x_m"] + x, y_m=log["y_m"] + y)
 
 
+def _aligned(log):
+    """A log whose true yaw is the direction in which its robot drives."""
+    return log.assign(yaw_true_rad=log["yaw_true_rad"] + scores.mounting_angle_rad(log))
+
+
 def _rhe(log, fields, smooth):
     """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
     options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True, smooth=smooth)
     samples = scores.perturbed_replay(log, 0, **options, **fields)
-    return samples, scores.ahead_rms_m(samples, predictor(_SLIPPING), [*ESTIMATE, *LEVER_ARM])
+    predict = predictor(_SLIPPING, (*QUANTITIES, *slipping.LEVER_ARM))
+    return samples, scores.ahead_rms_m(samples, predict, [*ESTIMATE, *LEVER_ARM])
 
 
-# What is searched of each rival: its noise by sigma, and for each unknown the places that it sets.
+# What is searched of each rival: its sigma_v, the walks of its parameters and its slip, without the
+# side slip; for each unknown the places that it sets.
 _SEARCHED = {
-    "EKF of (μ, κ)": (9, [(0, 1), (2,), (3,), (4, 5), (6,), (7,), (8,), (9,), (10,)]),
-    # It has no noise of the position.
-    "EKF of ICR": (10, [(0, 1), (2,), (3,), (4,), (5, 6), (7,), (8, 9), (10,), (11,)]),
+    "EKF of (μ, κ)": [(0, 1), (2,), (3,), (6,), (7,), (8,), (9,), (10,), (11,)],
+    "EKF of ICR": [(0, 1), (2,), (3,), (4, 5), (6,), (7, 8), (10,), (11,), (12,), (13,)],
 }
+_NOT_SEARCHED = {"EKF of (μ, κ)": [4, 5], "EKF of ICR": [9]}
 
 
-def _settings(title, sigma):
-    """Noises V, W and c of a rival."""
-    n, _ = _SEARCHED[title]
-    model = rivals.RIVALS[title].model
-    of_place = (0.0, 0.0) if model is rivals.ICR else ()
-    noise = noise_of(model, sigma[:4], (*of_place, *sigma[4:n]))
-    return noise | dict(c=np.array(sigma[n : n + 2]))
+def _settings(title, half_m, sigma):
+    """Noises V, W and c of a rival. What it knows does not walk."""
+    sigma = np.array(sigma)
+    sigma[_NOT_SEARCHED[title]] = 0.0
+    W = np.square([0.0, 0.0, 0.0, *sigma[4:-4]])
+    return dict(V=np.square(sigma[:4]), W=W, c=[*sigma[-4:], 0.0, 2 * half_m, paper.DT_S])
 
 
 def _filtered(title, half_m, part, sigma):
     """Samples of a rival on one segment."""
     yaw_rad = part["theta_rad"].iloc[0] + _YAW_ERROR_RAD
-    settings = _settings(title, sigma)
+    settings = _settings(title, half_m, sigma)
     return rivals.run(rivals.RIVALS[title], settings, part, half_m, yaw_rad)
 
 
@@ -98,16 +104,15 @@ def _rival(title, half_m, parts, sigma):
     samples = pd.concat(
         [_filtered(title, half_m, part, sigma) for part in parts], ignore_index=True
     ).assign(ok=True)
-    rival = rivals.RIVALS[title]
-    predict = predictor(rival.model, rival.model.names)
-    return samples, scores.ahead_rms_m(samples, predict, rival.hats, rival.measured)
+    how = rivals.replay_of(rivals.RIVALS[title], {})
+    return samples, scores.ahead_rms_m(samples, how.predict, how.hats)
 
 
 def _tuned(title, log):
     """The rival's sigma that makes a log's measurements likeliest, from where scores count."""
     recording = prepare(log)
     half_m = recording.track_width_m / 2
-    parts = rivals.parts_of(recording)
+    parts = recording.samples()
     counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
 
     def objective(sigma):
@@ -115,7 +120,7 @@ def _tuned(title, log):
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
-    return search(objective, _SEARCHED[title][1])[0]
+    return search(objective, _SEARCHED[title])[0]
 
 
 def _middle(calibrations):
@@ -154,6 +159,7 @@ def trials_with_gyro(logs, seeds):
     rows = []
     for name, log in logs.items():
         if {*_SENSORS} & {*log}:
+            log = _aligned(log)
             fields = dict(itself=dict(calibrate(_noisy(log, _TUNING_SEED))), shipped={})
             for seed in seeds:
                 rows += _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
@@ -164,7 +170,7 @@ def _trials_of_rivals(log, noisy, sigmas, rest, seed):
     """Rows of the rivals on a noisy log; sigmas: {rival: {log: its sigma}}, rest: other logs."""
     recording = prepare(noisy)
     half_m = recording.track_width_m / 2
-    parts = rivals.parts_of(recording)
+    parts = recording.samples()
     rows = []
     for title in _SEARCHED:
         others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
@@ -178,7 +184,9 @@ def trials(logs, seeds):
 
     The table has one row for each log, estimator, way of tuning and noise seed.
     """
-    logs = {name: log.drop(columns=_SENSORS, errors="ignore") for name, log in logs.items()}
+    logs = {
+        name: _aligned(log.drop(columns=_SENSORS, errors="ignore")) for name, log in logs.items()
+    }
     training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
     numbers = {name: dict(calibrate(log)) for name, log in training.items()}
     sigmas = {

@@ -27,10 +27,10 @@ import pandas as pd
 from scipy import stats
 
 from notebooks.studies import abc_regression, statistics
+from notebooks.studies.parallel import map_runs
 from notebooks.studies.tables import interval_text
 from rhec import paper
 from rhec.simulation.campaigns import store
-from rhec.simulation.campaigns.map import map_runs
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.metrics import SETTLING_SAMPLES
 from rhec.simulation.scenario import Scenario

@@ -102,7 +102,7 @@ class Program(compiled.Uncopied):
         """
         raise NotImplementedError
 
-    def array(self, name, *shape):
+    def scratch(self, name, *shape):
         """The array of this name, (*shape, lanes), reused while its shape is equal."""
         if name not in self._arrays or self._arrays[name].shape[:-1] != shape:
             self._arrays[name] = aligned(*shape, self.lanes)
@@ -117,7 +117,7 @@ class Program(compiled.Uncopied):
         _, _, *names = self.sizes
         for name in names:
             size = self.sizes[name]
-            array = arrays[name] = self.array(f"setting {name}", 1, size)
+            array = arrays[name] = self.scratch(f"setting {name}", 1, size)
             values = [of_run[name] for of_run in settings]
             last = self._last_settings.get(name)
             if last is None or not all(map(operator.is_, values, last)):
@@ -237,12 +237,12 @@ def _fold(program, memories, streams, settings):
     n_rows, length = program.shapes["rows"]
     calls = -(-max(map(len, streams)) // length)  # rounded up
     # Each call writes the memory that the next one reads.
-    memory = program.array("memory, in turn", 2, program.sizes[memory_name])
+    memory = program.scratch("memory, in turn", 2, program.sizes[memory_name])
     _interleave(memory[0], memories)
     n_inputs = program.sizes[stream_name] // length
-    stream = program.array("stream of inputs", calls * length, n_inputs)
+    stream = program.scratch("stream of inputs", calls * length, n_inputs)
     _interleave(stream, streams)
-    rows = program.array("rows of output", calls * length, n_rows)
+    rows = program.scratch("rows of output", calls * length, n_rows)
     by_block = {memory_name: memory, stream_name: _by_block(stream, length)}
     results = dict(memory=memory[::-1], rows=_by_block(rows, length))
     program.evaluate(calls, program.interleaved_settings(settings) | by_block, results)

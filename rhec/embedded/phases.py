@@ -98,7 +98,7 @@ def export(scenario):
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
-    follow = _build_follow(references["references"], reports_accepted, n_z)
+    follow = _build_follow(references, reports_accepted, n_z)
     path_phases = dict(closest=closest(n_segments), follow=follow)
 
     def first_estimate(estimate):
@@ -177,7 +177,7 @@ def export_model(rhe=None, rhc=None):
         n_x = len(model.states)
         settings |= rhc.settings
         start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s)
-        control = rhc.build()
+        control = build_controller(rhc.structure)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"

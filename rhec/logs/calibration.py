@@ -4,9 +4,7 @@
 predicts each position from earlier positions and from the encoders. Predictions over 0.6 to 2 s in
 addition gave no better values for four robots, and worse values for one of them.
 
-Broad priors supply what a log does not determine. The posterior is approximated by a normal
-distribution at its maximum (Laplace). Positions more than `filtering.OUTLIER` standard
-deviations away count less (Huber's loss).
+Positions more than `filtering.OUTLIER` standard deviations away count less (Huber's loss).
 """
 
 import itertools
@@ -14,23 +12,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize_scalar
 
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.base import Model
 from rhec.logs import filtering, minimum, terms
-from rhec.logs.calibrated import (
-    Calibration,
-    is_determined,
-    minus_log_posterior,
-    most_likely,
-    posterior_covariance,
-    report,
-)
 from rhec.logs.checks import facts, refuse
 from rhec.logs.comparison import HIDDEN_S, hidden_errors
 from rhec.logs.filtering import Loss
+from rhec.logs.likelihood import Z_95, Calibration, Likelihood, Unknown, normal_report
 from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
@@ -43,7 +33,7 @@ from rhec.logs.replay import (
     refuse_with_model,
     replay_scenario,
 )
-from rhec.simulation.columns import MEASUREMENTS
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
 from rhec.tracked_robot.estimators import estimator_of
@@ -55,10 +45,10 @@ from rhec.tracked_robot.slipping import LEVER_ARM
 # were chosen with it.
 _HUBER_SHRINKS = 0.8459
 # A filter assumes independent errors. Errors of recorded positions are correlated, which a replay
-# compensates by a standard deviation that is larger by this factor. So are slip and the constant
-# error of a gyro, which count where a gyro or a heading makes the yaw that accurate.
+# compensates by a standard deviation that is larger by this factor. So are slip and the errors of a
+# gyro, which count where a gyro or a heading makes the yaw that accurate. There all standard
+# deviations are larger by it, so that the gains remain those of the maximum of the likelihood.
 _CORRELATED = 1.75
-_CORRELATED_WITH_SENSORS = dict(position=2.5, slip=2.5, sensor=2.0)
 # First guess and standard deviations before the first sample, by name. What is not named is 0, and
 # a last input, which is unknown.
 _FIRST = dict(mu=1.0, kappa=1.0) | sensors.GYRO_GUESS
@@ -66,8 +56,6 @@ _SIGMA_FIRST = dict(x_m=0.05, y_m=0.05, theta_rad=0.1, arm_forward_m=0.3, arm_le
 _SIGMA_FIRST |= dict(mu=0.25, kappa=0.25, gyro_bias_radps=0.05, gyro_scale=0.03)
 _SIGMA_INPUT = 10.0
 _SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
-_N_HEADINGS = 32  # initial yaws that are tried
-_HEADING_M = 15.0  # distance over which they are compared
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
@@ -91,178 +79,31 @@ _WORSE = 1.05
 _LEAST_ERROR_M = 0.01  # smaller errors are those of the positions themselves
 _ONE_SIDED = 1.645  # 95 % quantile of the normal distribution
 
-
-class _Unknown(NamedTuple):
-    """A parameter to calibrate, with its prior."""
-
-    name: str
-    unit: str
-    middle: float  # mean of the prior
-    deviation: float  # standard deviation of the prior, of the logarithm if is_scale
-    is_scale: bool = True  # whether the logarithm is normally distributed
-    least: float = 0.0  # lower bound
-
-    def at(self, x):
-        """The value that is x prior standard deviations from the mean."""
-        value = x * self.deviation
-        value = self.middle * np.exp(value) if self.is_scale else self.middle + value
-        return np.maximum(value, self.least)
-
-
 _BROAD = np.log(3.0)
 _NARROW = np.log(2.0)
 _VERY_NARROW = np.log(1.3)  # a log hardly determines how μ and κ walk
+# Smoothed or interpolated positions look more accurate than they are. Without a lower bound the
+# filter would attribute their errors to slip.
+_POSITION = Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02)
 _UNKNOWNS = (
-    # Smoothed or interpolated positions look more accurate than they are. Without a lower bound the
-    # filter would attribute their errors to slip.
-    _Unknown("noise of the position", "m", 0.05, _BROAD, least=0.02),
-    _Unknown("noise of ν", "m/s", 0.03, _BROAD),
-    _Unknown("noise of ω", "rad/s", 0.012, _BROAD),
-    _Unknown("walk of μ", "1/√m", 0.004, _VERY_NARROW),
-    _Unknown("walk of κ", "1/√m", 0.007, _VERY_NARROW),
-    _Unknown("slip ahead, share of ν", "-", 0.1, _NARROW),
-    _Unknown("slip in turning, share of ω", "-", 0.06, _NARROW),
-    _Unknown("slip sideways, share of bω", "-", 0.06, _NARROW),
-    _Unknown("bumps", "rad/√m", 0.02, _NARROW),
-    _Unknown("side slip", "s", 0.05, 0.05, is_scale=False),
+    _POSITION,
+    Unknown("noise of ν", "m/s", 0.03, _BROAD),
+    Unknown("noise of ω", "rad/s", 0.012, _BROAD),
+    Unknown("walk of μ", "1/√m", 0.004, _VERY_NARROW),
+    Unknown("walk of κ", "1/√m", 0.007, _VERY_NARROW),
+    Unknown("slip ahead, share of ν", "-", 0.1, _NARROW),
+    Unknown("slip in turning, share of ω", "-", 0.06, _NARROW),
+    Unknown("slip sideways, share of bω", "-", 0.06, _NARROW),
+    Unknown("bumps", "rad/√m", 0.02, _NARROW),
+    Unknown("side slip", "s", 0.05, 0.05, is_scale=False),
 )
 _UNKNOWNS_OF_SENSORS = dict(
     gyro=(
-        _Unknown("noise of the gyro", "rad/s", 0.02, _BROAD),
-        _Unknown("noise of the gyro, share of ω", "-", 0.05, _BROAD),
+        Unknown("noise of the gyro", "rad/s", 0.02, _BROAD),
+        Unknown("noise of the gyro, share of ω", "-", 0.05, _BROAD),
     ),
-    heading=(_Unknown("noise of the heading", "rad", 0.03, _BROAD),),
+    heading=(Unknown("noise of the heading", "rad", 0.03, _BROAD),),
 )
-
-
-def _unknowns(names):
-    """What is calibrated of a robot with these sensors."""
-    return (*_UNKNOWNS, *(unknown for name in names for unknown in _UNKNOWNS_OF_SENSORS[name]))
-
-
-def _model_of(names):
-    return sensors.speed_model_of("slipping", names).model
-
-
-def _values(x, names):
-    """The values of `_unknowns` at the point x of the search."""
-    return [float(unknown.at(entry)) for unknown, entry in zip(_unknowns(names), x)]
-
-
-def _fields(x, robot):
-    """The parameters of a Scenario at the point x of the search."""
-    names = robot.sensors
-    values = iter(_values(x, names))
-    position, speed, yaw_rate = itertools.islice(values, 3)
-    position = max(position, robot.least_m)
-    fields = dict(
-        sigma_v=(position, position, speed, yaw_rate),
-        sigma_w=tuple(itertools.islice(values, 2)),
-        slip=tuple(itertools.islice(values, len(tuning.SLIP))),
-    )
-    if "gyro" in names:
-        fields["sigma_gyro"] = tuple(itertools.islice(values, 2))
-    if "heading" in names:
-        fields["sigma_heading"] = next(values)
-    return fields
-
-
-class _Robot(NamedTuple):
-    """What is known of a robot beforehand."""
-
-    width_m: float  # track width
-    sensors: tuple  # names of its sensors besides GNSS and encoders
-    about_arm_m: tuple = (0.0, 0.0)  # first guess of the antenna, ahead and left [m]
-    least_m: float = 0.0  # smallest noise of the positions that the receiver leaves possible [m]
-
-
-def _filtered(z, x, yaw_rad, robot):
-    """Outputs {name: array} of the filter at the point x, for a segment z (n, 2 n_z)."""
-    fields = _fields(x, robot)
-    scenario = Scenario(
-        speed_model="slipping", track_width_m=robot.width_m, sensors=robot.sensors, **fields
-    )
-    model = _model_of(robot.sensors)
-    x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
-    guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
-    guess |= dict(zip(LEVER_ARM, robot.about_arm_m))
-    mean = np.array([guess.get(name, 0.0) for name in model.joint_names])
-    sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
-    settings = estimator_of("rhe").settings(scenario)
-    return filtering.run(model, paper.DT_S, Loss.HUBER, z, (mean, sigma), settings)
-
-
-def _driven(z):
-    """Distance that the tracks have run until each sample [m]."""
-    return paper.DT_S * np.nancumsum(np.abs(z[:, 2]))
-
-
-def _first_yaw(z, x, robot):
-    """The most likely yaw at the beginning of a segment [rad]."""
-    begin = z[: np.searchsorted(_driven(z), _HEADING_M) + 1]
-
-    def loss(yaw_rad):
-        return np.nan_to_num(_filtered(begin, x, yaw_rad, robot)["loss"].sum(), nan=np.inf)
-
-    step = 2 * np.pi / _N_HEADINGS
-    nearest = min(step * np.arange(_N_HEADINGS), key=loss)
-    bounds = (nearest - step, nearest + step)
-    options = dict(maxiter=12)
-    return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
-
-
-def _losses(x, segments, yaws, robot):
-    """Losses (samples,) of each segment at the point x; 0 before the yaw has converged."""
-    return [
-        np.where(_driven(z) > _SETTLED_M, _filtered(z, x, yaw_rad, robot)["loss"], 0.0)
-        for z, yaw_rad in zip(segments, yaws)
-    ]
-
-
-def _objective(segments, yaws, robot):
-    """The function of x that is minimised: -log posterior, up to a constant."""
-    return lambda x: minus_log_posterior(_losses(x, segments, yaws, robot), x)
-
-
-def _fitted(segments, robot, yaws=None):
-    """The x and the initial yaws that make these segments likeliest."""
-    x = np.zeros(len(_unknowns(robot.sensors)))
-    if yaws is not None:
-        return most_likely(_objective(segments, yaws, robot), x), yaws
-    for _ in range(2):  # the second search starts from better initial yaws
-        yaws = [_first_yaw(z, x, robot) for z in segments]
-        x = most_likely(_objective(segments, yaws, robot), x)
-    return x, yaws
-
-
-def _apart(segments):
-    """Segments with only those positions that are _APART_S apart."""
-    every = round(_APART_S / paper.DT_S)
-    parts = [z.copy() for z in segments]
-    for z in parts:
-        z[np.arange(len(z)) % every > 0, :2] = np.nan
-    return parts
-
-
-def _search(segments, robot):
-    """Find the likeliest x, from all positions or, where their errors wander, from some.
-
-    Errors that wander over seconds hardly show between successive positions, but as noise of
-    positions that are _APART_S apart. Both fits of a log without wander find the same noise. The
-    likelihood cannot tell which fit is right: each is likelier over the times that it was made for.
-
-    Returns:
-        x, the initial yaws, the segments that were used, and whether the errors wander.
-    """
-    x, yaws = _fitted(segments, robot)
-    some = _apart(segments)
-    if sum(np.isfinite(z[:, 0]).sum() for z in some) < _LEAST_APART:
-        return x, yaws, segments, False
-    x_of_some, _ = _fitted(some, robot, yaws)
-    noise_m, noise_of_some_m = (_values(each, robot.sensors)[0] for each in (x, x_of_some))
-    if noise_of_some_m > _WANDERS * noise_m:
-        return x_of_some, yaws, some, True
-    return x, yaws, segments, False
 
 
 @checked
@@ -308,94 +149,215 @@ def calibrate(
         UserWarning: If the positions are late.
     """
     log = read_if_path(log)
+    of_robot = dict(
+        track_width_m=track_width_m,
+        position_delay_s=position_delay_s or None,
+        trust_log=trust_log or None,
+    )
     if model is not None:
-        of_robot = (track_width_m, position_delay_s or None, trust_log or None)
-        return _with_model(log, model, delays_s, arguments, of_robot)
-    _refuse_without_model(arguments | (dict(delays_s=delays_s) if delays_s else {}))
+        refuse_with_model(**of_robot)
+        return calibrate_model(log, model, delays_s, arguments)
+    if delays_s or arguments:
+        name = next(iter(arguments), "delays_s")
+        raise ValueError(
+            f"calibrate has no parameter {name!r} without a model; it takes {', '.join(of_robot)}"
+        )
     recording = prepare(log, track_width_m)
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
-    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
-    least_m = declared_m(recording.rows) / _CORRELATED  # widened, it is the declared one
-    robot = _Robot(recording.track_width_m, recording.sensors, about_arm_m, least_m)
+    robot = _Robot(
+        width_m=recording.track_width_m,
+        sensors=recording.sensors,
+        about_arm_m=log.attrs.get("lever_arm_m", (0.0, 0.0)),
+        least_m=declared_m(recording.rows) / _CORRELATED,  # widened, it is the declared one
+    )
     at_stamps = _usable(recording)
     recording = delayed(at_stamps, position_delay_s)
     _refuse_straight(recording)
-    segments = _streams(recording)
-    x, yaws, segments, wanders = _search(segments, robot)
-    objective = _objective(segments, yaws, robot)
-    deviation = np.sqrt(np.diag(posterior_covariance(objective, x)))
-    of_segments = [_filtered(z, x, yaw_rad, robot) for z, yaw_rad in zip(segments, yaws)]
-    last = filtering.last_estimates(_model_of(robot.sensors), of_segments)
-    arm, sigma_arm = np.transpose([last[name] for name in LEVER_ARM])
-    result = Calibration(_fields(x, robot))
-    _widen(result, robot.sensors)
-    if (sigma_arm < _DETERMINED_ARM_M).all():
-        result["lever_arm_m"] = tuple(arm.tolist())
-    arguments = dict(
-        track_width_m=track_width_m, position_delay_s=position_delay_s, trust_log=trust_log
-    )
-    result.update({name: value for name, value in arguments.items() if value})
-    result.report = _report(x, deviation, arm, sigma_arm, robot.sensors)
-    delay = _delay(at_stamps, position_delay_s, (x, yaws, robot))
-    samples = _replayed(recording, result, yaws, smooth=True)
-    result.terms = _terms(result, recording, samples, last, delay)
+    fit, wanders = _search(recording, robot)
+    result = _calibration(fit, robot)
+    result.update({name: value for name, value in of_robot.items() if value})
+    delay = _delay(at_stamps, position_delay_s, fit, robot)
+    samples = _replayed(recording, result, fit.yaws, smooth=True)
+    result.terms = _terms(result, recording, samples, delay)
     rate_hz = facts(recording)["encoders_hz"]
     result.yaml = terms.as_yaml(result.terms, robot.width_m, terms.noise(samples), rate_hz)
-    result.remarks = _remarks(wanders, delay, position_delay_s)
-    _keep_better(result, recording, yaws)
+    result.remarks = _remarks(result, wanders, delay, position_delay_s)
+    _keep_better(result, recording, fit.yaws)
     return result
 
 
-def _remarks(wanders, delay, position_delay_s):
-    """Sentences on how the positions were used, and how late they are."""
-    remarks = []
-    if wanders:
-        remarks.append(
-            f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
-            "apart."
+# The likelihood of a log of the robot
+
+
+class _Robot(NamedTuple):
+    """What is known of a robot beforehand."""
+
+    width_m: float  # track width
+    sensors: tuple  # names of its sensors besides GNSS and encoders
+    about_arm_m: tuple = (0.0, 0.0)  # first guess of the antenna, ahead and left [m]
+    least_m: float = 0.0  # smallest noise of the positions that the receiver leaves possible [m]
+
+
+class _Fit(NamedTuple):
+    """The likeliest noise of a log, and the initial yaws of its segments."""
+
+    likelihood: Likelihood
+    x: np.ndarray
+    yaws: list
+
+
+def _fields(values, robot):
+    """The parameters of a Scenario with these values of the unknowns."""
+    values = iter(values)
+    position, speed, yaw_rate = itertools.islice(values, 3)
+    position = max(position, robot.least_m)
+    fields = dict(
+        sigma_v=(position, position, speed, yaw_rate),
+        sigma_w=tuple(itertools.islice(values, 2)),
+        slip=tuple(itertools.islice(values, len(tuning.SLIP))),
+    )
+    if "gyro" in robot.sensors:
+        fields["sigma_gyro"] = tuple(itertools.islice(values, 2))
+    if "heading" in robot.sensors:
+        fields["sigma_heading"] = next(values)
+    return fields
+
+
+def _likelihood(segments, yaws, robot):
+    """The Likelihood of segments that begin with these yaws."""
+    model = sensors.speed_model_of("slipping", robot.sensors).model
+    sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
+    firsts = []
+    for z, yaw_rad in zip(segments, yaws):
+        x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
+        guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
+        guess |= dict(zip(LEVER_ARM, robot.about_arm_m))
+        firsts.append((np.array([guess.get(name, 0.0) for name in model.joint_names]), sigma))
+
+    def settings_of(values):
+        scenario = Scenario(
+            speed_model="slipping",
+            track_width_m=robot.width_m,
+            sensors=robot.sensors,
+            **_fields(values, robot),
         )
-    delay_s, sigma_s = delay
-    if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
-        remarks.append(
-            f"The positions come {delay_s:.2f} ± {1.96 * sigma_s:.2f} s after the encoder speeds: "
-            f"calibrate and replay with position_delay_s={delay_s:.2f}."
-        )
-    return remarks
+        return estimator_of("rhe").settings(scenario)
+
+    of_sensors = [unknown for name in robot.sensors for unknown in _UNKNOWNS_OF_SENSORS[name]]
+    return Likelihood(
+        model=model,
+        dt_s=paper.DT_S,
+        loss=Loss.HUBER,
+        unknowns=(*_UNKNOWNS, *of_sensors),
+        settings_of=settings_of,
+        segments=segments,
+        firsts=firsts,
+        counts=[paper.DT_S * np.nancumsum(np.abs(z[:, 2])) > _SETTLED_M for z in segments],
+    )
 
 
-def _with_model(log, model, delays_s, arguments, of_robot):
-    """The Calibration of a Model, which takes none of the three arguments of a robot."""
-    names = ("track_width_m", "position_delay_s", "trust_log")
-    refuse_with_model(**dict(zip(names, of_robot)))
-    return calibrate_model(log, model, delays_s, arguments)
+def _first_yaws(recording, robot):
+    """The yaw at the beginning of each segment, by a smoothed replay with the defaults [rad]."""
+    about = InitialGuess(about_arm_m=robot.about_arm_m)
+    samples = estimate_samples(recording, replay_scenario("rhe", recording, {}), about, smooth=True)
+    return samples.groupby("segment")[ESTIMATE[2]].first().tolist()
 
 
-def _refuse_without_model(arguments):
-    """Raise a ValueError for arguments of a calibration with a model."""
-    if arguments:
-        name = next(iter(arguments))
-        raise ValueError(
-            f"calibrate has no parameter {name!r} without a model; it takes track_width_m, "
-            "position_delay_s, trust_log"
-        )
+def _fitted(segments, yaws, robot):
+    """The _Fit of segments that begin with these yaws."""
+    likelihood = _likelihood(segments, yaws, robot)
+    return _Fit(likelihood, likelihood.most_likely(), yaws)
 
 
-def _widen(result, names):
-    """Multiply the standard deviations of correlated errors in a Calibration."""
-    factor = _CORRELATED_WITH_SENSORS if names else dict(position=_CORRELATED)
-    sigma_x, sigma_y, *encoders = result["sigma_v"]
-    result["sigma_v"] = (factor["position"] * sigma_x, factor["position"] * sigma_y, *encoders)
-    if names:
-        slip = dict(zip(tuning.SLIP, result["slip"]))
-        for name in ("share_omega", "share_side"):
-            slip[name] *= factor["slip"]
-        result["slip"] = tuple(slip.values())
-    if "gyro" in names:
-        sigma, share = result["sigma_gyro"]
-        result["sigma_gyro"] = (factor["sensor"] * sigma, share)
+def _search(recording, robot):
+    """The _Fit of all positions or, where their errors wander, of some; and whether they wander.
+
+    Errors that wander over seconds hardly show between successive positions, but as noise of
+    positions that are _APART_S apart. Both fits of a log without wander find the same noise. The
+    likelihood cannot tell which fit is right: each is likelier over the times that it was made for.
+    """
+    yaws = _first_yaws(recording, robot)
+    segments = _streams(recording)
+    fit = _fitted(segments, yaws, robot)
+    every = round(_APART_S / paper.DT_S)
+    some = [z.copy() for z in segments]
+    for z in some:
+        z[np.arange(len(z)) % every > 0, :2] = np.nan
+    if sum(np.isfinite(z[:, 0]).sum() for z in some) < _LEAST_APART:
+        return fit, False
+    of_some = _fitted(some, yaws, robot)
+    noise_m, noise_of_some_m = (_POSITION.at(each.x[0]) for each in (fit, of_some))
+    wanders = noise_of_some_m > _WANDERS * noise_m
+    return (of_some if wanders else fit), wanders
+
+
+def _delay(at_stamps, about_s, fit, robot):
+    """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
+
+    The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
+    earlier than the robot. A fit without the delay takes it for noise, which then hides it. So
+    there is a second fit, with the delay by the path alone, and the likelier one counts.
+    """
+
+    def streams(delay_s):
+        return _streams(delayed(at_stamps, delay_s))
+
+    by_path_s = likeliest_delay(at_stamps)
+    if abs(by_path_s - about_s) > _SMALL_DELAY_S:
+        late = _fitted(streams(by_path_s), fit.yaws, robot)
+        in_time = _likelihood(streams(about_s), fit.yaws, robot)
+        if late.likelihood.objective(late.x) < in_time.objective(fit.x):
+            about_s = by_path_s
+            fit = late
+    delays_s = about_s + _DELAYS_S
+    losses = [
+        np.concatenate(_likelihood(streams(delay_s), fit.yaws, robot).losses(fit.x))
+        for delay_s in delays_s
+    ]
+    return minimum.least(delays_s, np.nan_to_num(losses, nan=_LOSS_OF_NOTHING))
+
+
+# What is made of it
+
+
+def _calibration(fit, robot):
+    """The Calibration of a _Fit, with its report."""
+    report = fit.likelihood.report(fit.x)
+    position = _POSITION.name
+    if report.loc[position, "value"] > _POSITION.least:
+        report.loc[position, ["value", "low", "high"]] /= _HUBER_SHRINKS
+    else:
+        # Nothing was measured but that it is not larger.
+        report.loc[position, ["low", "determined"]] = 0.0, False
+    last = filtering.last_estimates(fit.likelihood.model, fit.likelihood.filtered(fit.x))
+    arm = [last[name] for name in LEVER_ARM]
+    is_known = [sigma < _DETERMINED_ARM_M for _, sigma in arm]
+    antenna = [
+        normal_report(name, "m", *place, is_determined)
+        for name, place, is_determined in zip(("antenna ahead", "antenna left"), arm, is_known)
+    ]
+    fields = _fields(fit.likelihood.values(fit.x), robot)
+    result = Calibration(_widened(fields, robot.sensors), pd.concat([report, *antenna]))
+    if all(is_known):
+        result["lever_arm_m"] = tuple(float(place) for place, _ in arm)
+    return result
+
+
+def _widened(fields, names):
+    """The fields with larger standard deviations of errors that are correlated."""
+
+    def wider(values):
+        return tuple(_CORRELATED * value for value in values)
+
+    if not names:
+        return fields | dict(sigma_v=(*wider(fields["sigma_v"][:2]), *fields["sigma_v"][2:]))
+    # The last constant of the slip is that of a mean.
+    result = {name: wider(values) for name, values in fields.items() if name != "sigma_heading"}
+    result["slip"] = (*result["slip"][:-1], fields["slip"][-1])
     if "heading" in names:
-        result["sigma_heading"] *= factor["sensor"]
+        result["sigma_heading"] = _CORRELATED * fields["sigma_heading"]
+    return result
 
 
 def _refuse_straight(recording):
@@ -432,54 +394,45 @@ def _streams(recording):
     return [with_ages(part, measured_of(recording.sensors)) for part in recording.samples()]
 
 
-def _delay(at_stamps, about_s, fitted):
-    """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
-
-    The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
-    earlier than the robot. A fit without the delay takes it for noise, which then hides it. So
-    there is a second fit, with the delay by the path alone, and the likelier one counts.
-    """
-    x, yaws, robot = fitted
-    by_path_s = likeliest_delay(at_stamps)
-    if abs(by_path_s - about_s) > _SMALL_DELAY_S:
-        late = _streams(delayed(at_stamps, by_path_s))
-        x_late, yaws_late = _fitted(late, robot)
-        in_time = _objective(_streams(delayed(at_stamps, about_s)), yaws, robot)
-        if _objective(late, yaws_late, robot)(x_late) < in_time(x):
-            about_s = by_path_s
-            x = x_late
-            yaws = yaws_late
-    delays_s = about_s + _DELAYS_S
-    losses = []
-    for delay_s in delays_s:
-        of_segments = _losses(x, _streams(delayed(at_stamps, delay_s)), yaws, robot)
-        losses.append(np.concatenate(of_segments))
-    return minimum.least(delays_s, np.nan_to_num(losses, nan=_LOSS_OF_NOTHING))
-
-
 def _replayed(recording, arguments, yaws, smooth=False):
     """Samples of a replay of a Recording with arguments of `rhec.replay`."""
     fields = {name: arguments[name] for name in _FIELDS if name in arguments}
     scenario = replay_scenario("rhe", recording, fields)
     first = InitialGuess(tuple(yaws), lever_arm_m=arguments.get("lever_arm_m"))
-    return estimate_samples(recording, scenario, first, smooth=smooth)
+    return estimate_samples(recording, scenario, first, smooth)
 
 
-def _terms(result, recording, samples, last, delay):
+def _terms(result, recording, samples, delay):
     """The terms of a Calibration, from its smoothed samples."""
     # Errors that wander for minutes do not show in the positions, but the receiver declares them.
-    noise = result.report.loc["noise of the position", ["value", "low", "high"]]
+    noise = result.report.loc[_POSITION.name, ["value", "low", "high"]]
     noise = noise.astype(float).clip(lower=declared_m(recording.rows))
-    others = {
-        "antenna ahead": (*last["arm_forward_m"], "m"),
-        "antenna left": (*last["arm_left_m"], "m"),
-        "GNSS noise": (noise["value"], (noise["high"] - noise["low"]) / (2 * 1.96), "m"),
-        "delay of the positions": (*delay, "s"),
+    others = terms.constants(samples) | {
+        "noise of the positions": (*noise, "m"),
+        "delay of the positions": terms.row(*delay, "s"),
     }
-    if "gyro" in recording.sensors:
-        others["gyro bias"] = (*last["gyro_bias_radps"], "rad/s")
-        others["gyro scale"] = (*last["gyro_scale"], "-")
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)
+
+
+def _remarks(result, wanders, delay, position_delay_s):
+    """Sentences on how the positions were used, how good they are, and how late."""
+    remarks = []
+    if wanders:
+        remarks.append(
+            f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
+            "apart."
+        )
+    if not result.report.loc[_POSITION.name, "low"]:
+        remarks.append(
+            f"The noise of the positions is at most {_POSITION.least} m, the least that is assumed."
+        )
+    delay_s, sigma_s = delay
+    if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
+        remarks.append(
+            f"The positions come {delay_s:.2f} ± {Z_95 * sigma_s:.2f} s after the encoder speeds: "
+            f"calibrate and replay with position_delay_s={delay_s:.2f}."
+        )
+    return remarks
 
 
 def _keep_better(result, recording, yaws):
@@ -490,7 +443,7 @@ def _keep_better(result, recording, yaws):
 
     def errors_m(arguments):
         hidden = hidden_errors(recording, lambda shown: _replayed(shown, arguments, yaws))
-        return hidden.error_m[:, -1]
+        return hidden.error_m[HIDDEN_S]
 
     calibrated, shipped = errors_m(result), errors_m({})
     ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
@@ -506,22 +459,3 @@ def _keep_better(result, recording, yaws):
             f"calibrated replay are {np.exp(ratios.mean()):.2f} times as large as those of the "
             f"default one (geometric mean of {len(ratios)})."
         )
-
-
-def _report(x, deviation, arm, sigma_arm, names):
-    """The report of a Calibration."""
-    unknowns = _unknowns(names)
-    numbers = report(
-        [unknown.name for unknown in unknowns],
-        [unknown.unit for unknown in unknowns],
-        *(_values(x + side * deviation, names) for side in (0, -1.96, 1.96)),
-        is_determined(deviation),
-    )
-    position = unknowns[0]
-    limits = ["value", "low", "high"]
-    if numbers.loc[position.name, "value"] > position.least:
-        numbers.loc[position.name, limits] /= _HUBER_SHRINKS
-    interval = (arm - 1.96 * sigma_arm, arm + 1.96 * sigma_arm)
-    is_known = sigma_arm < _DETERMINED_ARM_M
-    antenna = report(["antenna ahead", "antenna left"], "m", arm, *interval, is_known)
-    return pd.concat([numbers, antenna])

@@ -19,7 +19,7 @@ from rhec.tracked_robot.tuning import sigma_v_of
 # Hidden are positions of HIDDEN_S in every _EVERY_S.
 HIDDEN_S = 10.0
 _EVERY_S = 30.0
-_AFTER_S = (2.0, HIDDEN_S)  # times since the last position at which errors count
+AFTER_S = (2.0, HIDDEN_S)  # times since the last position at which errors count
 _FROM_M = 8.0  # distance driven in a segment from which on the yaw has converged
 _ANGLE = 1.96  # standard deviations that hold 95 % of the errors of a yaw
 _BOTH = 2.236  # the same, of both coordinates of a position
@@ -33,10 +33,10 @@ def _settled(samples):
 
 
 class Hidden(NamedTuple):
-    """Errors of estimates while positions are hidden, (n, 2): 2 s and 10 s after the last one."""
+    """Errors of estimates while positions are hidden, {time since the last one [s]: (n,)}."""
 
-    error_m: np.ndarray  # distance from the hidden position
-    is_covered: np.ndarray  # whether it is within the 95 % of the estimate
+    error_m: dict  # distance from the hidden position
+    is_covered: dict  # whether it is within the 95 % of the estimate, NaN without a position
 
 
 def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
@@ -53,33 +53,28 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
     rows = recording.rows
     first_s = rows.groupby("segment")["t_s"].first()
     since_s = rows["t_s"] - rows["segment"].map(first_s)
-    shown = pd.concat(recording.samples(), ignore_index=True)
-    errors = []
-    covered = []
+    shown = pd.concat(recording.samples(), ignore_index=True)[MEASUREMENTS[:2]].to_numpy()
+    tables = []
     for begin_s in np.arange(0.0, _EVERY_S, HIDDEN_S):
-        hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
+        is_hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
         masked = rows.copy()
-        masked.loc[hidden, MEASUREMENTS[:2]] = np.nan
+        masked.loc[is_hidden, MEASUREMENTS[:2]] = np.nan
         samples = estimate(recording._replace(rows=masked))
         sample_s = samples["t_s"] - samples["segment"].map(first_s)
         # The last position was measured one sample before the first that is hidden.
         without_s = (sample_s - begin_s) % _EVERY_S + paper.DT_S
-        each = samples["segment"] * 1e6 + (sample_s - begin_s) // _EVERY_S
-        off = samples[ESTIMATE[:2]].to_numpy() - shown[MEASUREMENTS[:2]].to_numpy()
+        off = samples[ESTIMATE[:2]].to_numpy() - shown
         limits = _BOTH * np.hypot(samples[SIGMA[:2]].to_numpy(), sigma_v[:2])
-        table = pd.DataFrame(
-            dict(error=np.hypot(*off.T), covered=(np.abs(off) < limits).all(axis=1))
-        )
-        table["covered"] = table["covered"].where(table["error"].notna()).astype(float)
-        at = [
-            table[(sample_s > HIDDEN_S) & ((without_s - after_s).abs() < paper.DT_S / 2)]
-            .groupby(each)
-            .first()
-            for after_s in _AFTER_S
-        ]
-        errors.append(pd.concat([one["error"] for one in at], axis=1).to_numpy())
-        covered.append(pd.concat([one["covered"] for one in at], axis=1).to_numpy())
-    return Hidden(np.concatenate(errors), np.concatenate(covered))
+        errors = pd.DataFrame(dict(after_s=without_s, error=np.hypot(*off.T)))
+        is_covered = (np.abs(off) < limits).all(axis=1)
+        errors["covered"] = np.where(errors["error"].notna(), is_covered, np.nan)
+        tables.append(errors[sample_s > HIDDEN_S])
+    table = pd.concat(tables)
+    at = {each: table[(table["after_s"] - each).abs() < paper.DT_S / 2] for each in AFTER_S}
+    return Hidden(
+        {each: rows["error"].to_numpy() for each, rows in at.items()},
+        {each: rows["covered"].to_numpy() for each, rows in at.items()},
+    )
 
 
 def nis(samples, sigma_v):
@@ -112,16 +107,14 @@ def _estimators(recording, about):
         scenarios = {name: replay_scenario("rhe", recording, {})} | scenarios
     half_m = recording.track_width_m / 2
     settings = estimator_of("rhe").settings(plain)
-    parts = rivals.parts_of(recording)
 
     def rhe(scenario):
         return lambda shown: estimate_samples(shown, scenario, about)
 
     def filtered(rival):
-        noise = rivals.same_noise(rival, settings, parts, half_m)
+        noise = rivals.same_noise(rival, settings, half_m)
         return lambda shown: pd.concat(
-            [rivals.run(rival, noise, part, half_m) for part in rivals.parts_of(shown)],
-            ignore_index=True,
+            [rivals.run(rival, noise, part, half_m) for part in shown.samples()], ignore_index=True
         )
 
     named = {name: rhe(scenario) for name, scenario in scenarios.items()}
@@ -154,10 +147,11 @@ def compare(recording, reference, about):
         apart = (samples[yaw] - reference[yaw] + np.pi)[counts] % (2 * np.pi) - np.pi
         hidden = hidden_errors(recording, estimate, sigma_v)
         rows[name] = {
-            "hidden 2 s [m]": np.nanmedian(hidden.error_m[:, 0]),
-            "hidden 10 s [m]": np.nanmedian(hidden.error_m[:, 1]),
-            "in 95 %": np.nanmean(hidden.is_covered[:, 1]),
-            "n": np.isfinite(hidden.is_covered[:, 1]).sum(),
+            f"hidden {after_s:g} s [m]": np.nanmedian(error_m)
+            for after_s, error_m in hidden.error_m.items()
+        } | {
+            "in 95 %": np.nanmean(hidden.is_covered[HIDDEN_S]),
+            "n": np.isfinite(hidden.is_covered[HIDDEN_S]).sum(),
             "NIS": np.nanmean(nis(samples, sigma_v)[counts]),
             "yaw in 95 %": (apart.abs() <= _ANGLE * samples[SIGMA[2]][counts]).mean(),
             "κ": samples.loc[counts, ESTIMATE[5]].median(),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import checks
 from rhec.logs.finding import refused
+from rhec.logs.position_noise import LEAST_M
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare
 
@@ -40,7 +41,10 @@ class Diagnosis(NamedTuple):
         return json.dumps(dict(ok=self.ok, findings=findings, facts=self.facts), indent=2)
 
     def __str__(self) -> str:
-        lines = [f"{name}: {value:.3g}" for name, value in self.facts.items()]
+        told = {name: f"{value:.3g}" for name, value in self.facts.items()}
+        if self.facts.get("position_sigma_m") == LEAST_M:
+            told["position_sigma_m"] = f"at most {LEAST_M}, the least that is assumed"
+        lines = [f"{name}: {value}" for name, value in told.items()]
         lines += [f"- {each.severity}: {each.sentence} {each.remedy}" for each in self.findings]
         return "\n".join(lines + ([] if self.findings else ["Nothing was found."]))
 

@@ -22,41 +22,6 @@ OUTLIER = 1.5  # standard deviations from which on a position counts less
 _OUTLIERS = 1e-3  # share of good samples that count less by the logarithm
 
 
-def _correct_by_huber(m, P, z, V, outputs, s_bar):
-    """`kalman.update` in which a position may be an outlier, with Huber's ρ in its deviance.
-
-    That of the position is OUTLIER² ρ(|y|_S / OUTLIER) + log det S, where ρ(r) = r² up to 1, then
-    2r - 1. The other sensors, which count as they are, correct first.
-    """
-    place = outputs[:2]
-    m, P, _, _, deviance, _ = kalman.update(m, P, z, V, outputs[2:], s_bar)
-    # Distance of the position from the predicted one, in units of OUTLIER standard deviations.
-    y = z[:2] - m[:2]
-    S = P[:2, :2] + ca.diag(V[:2])
-    is_used = place[0].is_valid(z) * place[1].is_valid(z)
-    far = ca.if_else(is_used, ca.sqrt(ca.bilin(ca.inv_minor(S), y, y)) / OUTLIER, 0)
-    loss = OUTLIER**2 * ca.if_else(far < 1, far**2, 2 * far - 1) + ca.log(ca.det(S))
-    # Huber's loss gives an outlier the weight of a measurement with this larger variance.
-    updated = kalman.update(m, P, z, V * ca.fmax(far, 1) ** 2, place, m)
-    return updated._replace(deviance=ca.if_else(is_used, loss, 0) + deviance)
-
-
-def _correct_by_logarithm(m, P, z, V, outputs, s_bar):
-    """`kalman.update` in which a sample may be an outlier, which counts less in its deviance.
-
-    That is c ρ(d/c) + log det S with d = y' S⁻¹ y, the limit c of d, and ρ(r) = r up to 1, then
-    1 + log r.
-    """
-    limit = float(chi2.isf(_OUTLIERS, max(len(outputs), 1)))
-    plain = kalman.update(m, P, z, V, outputs, s_bar)
-    far = plain.distance / limit
-    loss = limit * ca.if_else(far < 1, far, 1 + ca.log(ca.fmax(far, 1)))
-    loss += plain.deviance - plain.distance
-    # This loss gives an outlier the weight of a measurement with a variance larger by d/c.
-    updated = kalman.update(m, P, z, V * ca.fmax(far, 1), outputs, s_bar)
-    return updated._replace(deviance=loss)
-
-
 class Loss(Enum):
     """By what an innovation counts in the likelihood of a log."""
 
@@ -65,11 +30,37 @@ class Loss(Enum):
     LOGARITHM = "samples far away by the logarithm of their distance"
 
 
-_CORRECTIONS = {
-    Loss.SQUARE: kalman.update,
-    Loss.HUBER: _correct_by_huber,
-    Loss.LOGARITHM: _correct_by_logarithm,
-}
+def _correct_robustly(n, limit, tail):
+    """`kalman.update` in which the first n outputs may be an outlier together.
+
+    With d = y' S⁻¹ y of these their deviance is c ρ(d/c) + log det S, with the limit c of d, ρ(r)
+    = r up to 1, and then tail(r). The other outputs, which count as they are, correct first.
+    """
+
+    def correct(m, P, z, V, outputs, s_bar):
+        before = kalman.update(m, P, z, V, outputs[n:], s_bar)
+        at = s_bar if n == len(outputs) else before.m
+        plain = kalman.update(before.m, before.P, z, V, outputs[:n], at)
+        far = plain.distance / limit
+        loss = limit * ca.if_else(far < 1, far, tail(ca.fmax(far, 1)))
+        loss += plain.deviance - plain.distance + before.deviance
+        # Such a loss gives an outlier the weight of a measurement with a variance larger by d/c.
+        updated = kalman.update(before.m, before.P, z, V * ca.fmax(far, 1), outputs[:n], at)
+        return updated._replace(deviance=loss)
+
+    return correct
+
+
+def _correction(loss, n):
+    """How a Filter with n outputs corrects by its measurements."""
+    if loss is Loss.SQUARE:
+        return kalman.update
+    if loss is Loss.HUBER:
+        return _correct_robustly(2, OUTLIER**2, lambda far: 2 * ca.sqrt(far) - 1)
+    limit = float(chi2.isf(_OUTLIERS, max(n, 1)))
+    return _correct_robustly(n, limit, lambda far: 1 + ca.log(far))
+
+
 _FILTERED = ("estimate", "variances", "loss")
 _SMOOTHED = ("estimate", "covariance", "m_predicted", "P_predicted", "A")
 
@@ -84,7 +75,8 @@ def build(model, dt_s, loss, along_trajectory=False):
     """
     n_z = len(model.outputs)
     recorded = _SMOOTHED if along_trajectory else _FILTERED
-    kalman_filter = Filter(base.interval(model), dt_s, _CORRECTIONS[loss])
+    interval = base.interval(model)
+    kalman_filter = Filter(interval, dt_s, _correction(loss, len(interval.outputs)))
     streamed = dict.fromkeys(["s_before", "s_now"] if along_trajectory else [], (model.n_s, 1))
     shapes = dict(z_N=(2 * n_z, 1), noise=noise_shapes(model), W=(model.n_s, 1), **streamed)
 

@@ -1,4 +1,4 @@
-"""Files of a replay: tables of the estimates, and paths for the tool `evo`."""
+"""Files of a replay and of `rhec log`: tables, paths for the tool `evo`, a map, YAML, a picture."""
 
 import json
 from pathlib import Path
@@ -30,28 +30,36 @@ def write_estimates(estimates, folder):
         estimates.to_csv(unfinished, index=False)
     with replacing(folder / "estimates.parquet") as unfinished:
         estimates.to_parquet(unfinished)
-    x, y, yaw = ESTIMATE[:3]
-    _write_path(folder / "estimated.tum", estimates, x, y, estimates[yaw])
-    x, y = MEASUREMENTS[:2]
-    _write_path(folder / "measured.tum", estimates, x, y, 0.0)  # no sensor measures a direction
+    yaw_rad = estimates[ESTIMATE[2]]
+    _write_path(folder / "estimated.tum", estimates, ESTIMATE[:2], yaw_rad)
+    # No sensor measures a direction.
+    _write_path(folder / "measured.tum", estimates, MEASUREMENTS[:2], 0.0)
     if "origin" in estimates.attrs:
         write_traction(estimates, folder / "traction.geojson")
 
 
+def _write_path(file, estimates, place, yaw_rad):
+    """Write a line `t x y z qx qy qz qw` for each row with a position in the two columns."""
+    path = estimates[["t_s", *place]].assign(
+        z=0.0, qx=0.0, qy=0.0, qz=np.sin(yaw_rad / 2), qw=np.cos(yaw_rad / 2)
+    )
+    path = path.dropna(subset=place).drop_duplicates("t_s")
+    with replacing(file) as unfinished:
+        np.savetxt(unfinished, path, fmt="%.9f")
+
+
 def write_summary(summary, folder):
-    """Write summary.txt, comparison.csv, robot.yaml for ROS, and the picture log.png.
+    """Write summary.txt, comparison.csv, robot.yaml for ROS, log.png, and the estimates.
 
     Args:
         summary: Summary with estimates, as `rhec.log` returns it.
         folder: Path of the folder, which is created if needed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with replacing(folder / "summary.txt") as unfinished:
-        unfinished.write_text(f"{summary}\n", encoding="utf-8")
+    write_estimates(summary.estimates, folder)
+    _write_text(folder / "summary.txt", f"{summary}\n")
+    _write_text(folder / "robot.yaml", summary.yaml)
     with replacing(folder / "comparison.csv") as unfinished:
         summary.comparison.table.to_csv(unfinished, index_label="estimator")
-    with replacing(folder / "robot.yaml") as unfinished:
-        unfinished.write_text(summary.yaml, encoding="utf-8")
     with replacing(folder / "log.png") as unfinished:
         summary.plot().savefig(unfinished, format="png")
 
@@ -76,24 +84,15 @@ def write_traction(estimates, file):
             "rhec.logs.read"
         )
     labels = estimates[_TRACTION].dropna(subset=_TRACTION[:5])
-    x, y = labels[_TRACTION[1:3]].to_numpy().T
-    places = np.column_stack(degrees_at(x, y, estimates.attrs["origin"])).tolist()
-    properties = labels.drop(columns=_TRACTION[1:3]).astype(object)
-    properties = properties.where(np.isfinite(properties.astype(float)), None)
+    places = degrees_at(*labels[_TRACTION[1:3]].to_numpy().T, estimates.attrs["origin"])
+    properties = labels.drop(columns=_TRACTION[1:3]).to_json(orient="records", double_precision=15)
     features = [
         dict(type="Feature", geometry=dict(type="Point", coordinates=place), properties=row)
-        for place, row in zip(places, properties.to_dict("records"))
+        for place, row in zip(np.column_stack(places).tolist(), json.loads(properties))
     ]
-    text = json.dumps(dict(type="FeatureCollection", features=features), allow_nan=False)
-    with replacing(Path(file)) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+    _write_text(Path(file), json.dumps(dict(type="FeatureCollection", features=features)))
 
 
-def _write_path(file, estimates, x, y, yaw_rad):
-    """Write a line `t x y z qx qy qz qw` for each row with a position in the columns x, y."""
-    path = estimates[["t_s", x, y]].assign(
-        z=0.0, qx=0.0, qy=0.0, qz=np.sin(yaw_rad / 2), qw=np.cos(yaw_rad / 2)
-    )
-    path = path.dropna(subset=[x, y]).drop_duplicates("t_s")
+def _write_text(file, text):
     with replacing(file) as unfinished:
-        np.savetxt(unfinished, path, fmt="%.9f")
+        unfinished.write_text(text, encoding="utf-8")

@@ -1,9 +1,9 @@
 """Replay: run an estimator on a recorded log.
 
-The estimator's step is scanned over the samples of each segment, which are DT_S apart. The encoder
-measurements of a sample are means over the interval that ends there (`recording.resample`). A
-position measured between two samples is moved to the second one by the motion predicted from the
-last estimate and the encoders.
+The estimator's step is scanned over the samples of each segment. The encoder measurements of a
+sample are means over the interval that ends there (`recording.resample`). A position measured
+between two samples is moved to the second one by the motion predicted from the last estimate and
+the encoders.
 
 Each row of the log receives the estimate of the last sample before it, predicted to the time of the
 row with the encoder measurements in between. By default the estimates are then smoothed, which
@@ -13,9 +13,7 @@ whole log is asked for, the track width and the noise of the positions.
 """
 
 import warnings
-from collections.abc import Callable
 from functools import partial
-from itertools import chain
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -25,7 +23,7 @@ import pandas as pd
 from rhec import paper
 from rhec.core import runner
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import casadi_function, packed_size, unpack
+from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import ekf, rhe
@@ -60,7 +58,6 @@ from rhec.simulation.columns import (
     SIGMA,
     SIGMA_GYRO,
 )
-from rhec.simulation.fault_signals import corrupted
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import gyro_check, sensors, slipping
 from rhec.tracked_robot.choice import Choice, TractionInput
@@ -68,8 +65,6 @@ from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import sigma_start, window_of
 
-# What a replay of the paper's robot estimates, besides its sensors.
-_QUANTITIES = (*QUANTITIES, *slipping.LEVER_ARM)
 ESTIMATOR_FIELDS = (
     "process_noise",
     "sigma_w",
@@ -83,17 +78,28 @@ ESTIMATOR_FIELDS = (
     "sigma_heading",
 )
 _N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
-# Standard deviations of the initial guess of _QUANTITIES. They equal the paper's W, except for the
-# yaw and the position of the antenna.
-_SIGMA_FIRST = (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1)
+# Standard deviations of the initial guess. They equal the paper's W, except for the yaw and the
+# position of the antenna.
+_SIGMA_FIRST = dict(
+    zip((*QUANTITIES, *slipping.LEVER_ARM), (10.0, 10.0, 0.3, 1.0, 0.25, 0.25, 0.1, 0.1))
+)
 _SIGMA_ARM_M = 0.005  # standard deviation of a lever arm that the user passes
+# The columns of an estimate of the paper's robot and of its standard deviation.
+_HATS = dict(zip((*_SIGMA_FIRST, *sensors.GYRO), (*ESTIMATE, *LEVER_ARM, *GYRO)))
+_SIGMAS = dict(zip(_HATS, (*SIGMA, *SIGMA_GYRO)))
+# Rows of z of the paper's robot, by the flag that says whether they were used.
+POSITION_AND_ENCODERS = ((0, 1), (2, 3))
+# Columns of what a scan records besides estimates.
+_COLUMNS = dict(
+    deviance=["deviance"], kkt=["kkt_rhe"], ok=["ok"], accepted=GATE[:2], restart=GATE[2:]
+)
 
 
 class InitialGuess(NamedTuple):
     """Prior knowledge of a recorded robot before the first sample; None means unknown."""
 
     yaw_rad: tuple | None = None  # initial yaw of each segment [rad]
-    sigma_yaw_rad: float = _SIGMA_FIRST[2]  # its standard deviation [rad]
+    sigma_yaw_rad: float = _SIGMA_FIRST["theta_rad"]  # its standard deviation [rad]
     lever_arm_m: tuple | None = None  # position of the antenna ahead and left of the centre [m]
     about_arm_m: tuple = (0.0, 0.0)  # where the antenna is about, if lever_arm_m is unknown [m]
 
@@ -104,33 +110,29 @@ _UNKNOWN = InitialGuess()
 class Replay(NamedTuple):
     """An estimator that runs over a log, and the columns that it reads and fills."""
 
-    dt_s: float  # length of a sample
     model: Model  # predicts between samples, and moves late measurements
+    dt_s: float  # length of a sample
     quantities: tuple  # names of the estimates, in order
+    hats: list  # their columns
+    sigmas: list  # the columns of their standard deviations
     measured: list  # the columns of z
     means: list  # those of them that are means over an interval
-    recorded: dict  # {output of the scan: its columns}, first `estimate` and `sigma`
-    build: Callable  # of the scan, as for `compiled.load`
-    structure: tuple  # its arguments
+    structure: tuple  # the further arguments of `build_scan`
     settings: dict  # {name: array} of the estimator's step
     timing: Any = None  # the Timing of the measurements, if they have rates of their own
 
-    @property
-    def hats(self):
-        """The columns of the estimates."""
-        return self.recorded["estimate"]
-
     def scanned(self, memory, stream):
-        """What the scan records at a segment's samples, a DataFrame with the columns `recorded`.
+        """What the scan records at a segment's samples, as a DataFrame.
 
         Args:
             memory: (n,) of the estimator before the first sample, then the guess of `quantities`.
             stream: (samples, 2 n_z), as of `recording.with_ages`.
         """
-        functions = compiled.load(self.build, *self.structure)
+        functions = compiled.load(build_scan, self.quantities, *self.structure)
         arrays = runner.record(functions, memory, stream, self.settings)
-        values = np.column_stack([arrays[name] for name in self.recorded])
-        return pd.DataFrame(values, columns=[*chain(*self.recorded.values())])
+        columns = _COLUMNS | dict(estimate=self.hats, sigma=self.sigmas)
+        names = [column for name in arrays for column in columns[name]]
+        return pd.DataFrame(np.column_stack([*arrays.values()]), columns=names)
 
     def predict(self, estimate, z, tau_s):
         """Predict estimates and outputs, as the function of `predictor`."""
@@ -140,23 +142,24 @@ class Replay(NamedTuple):
 # The estimator's step as a scan
 
 
-def _build_scan(step, model, dt_s, quantities, record):
+def build_scan(names, gates, kind, *structure):
     """The scan of an estimator over a log.
 
-    Its memory is that of the estimator followed by the last estimate of the quantities. A row of
-    its stream is that of `recording.with_ages`.
+    Its memory is that of the estimator followed by the last estimate. A row of its stream is that
+    of `recording.with_ages`.
 
     Args:
-        step: Function (memory, z, settings …) -> (memory, estimate, …).
-        model: The Model by which late measurements are moved to the sample.
-        dt_s: Length of a sample [s].
-        quantities: Names of the estimates.
-        record: Function (outputs of the step, z) -> {name: value} of what is recorded.
+        names: Of what is recorded as the estimate, NaN where the estimator does not estimate it.
+        gates: Pairs of rows of z. Of each is recorded whether both were used.
+        kind: "rhe" of a Window; "ekf" of a Model and the length of a sample [s]; or "named", an
+            estimator of the paper's robot, of the fields of a Choice.
+        structure: What `kind` says.
     """
-    motion = motion_of(model, quantities)
+    step, model, dt_s, estimated, covered = _estimator(kind, *structure)
+    motion = motion_of(model, names)
     n = step.numel_in(0)
     n_z = len(model.outputs)
-    shapes = dict(memory=(n + len(quantities), 1), z_and_ages=(2 * n_z, 1))
+    shapes = dict(memory=(n + len(names), 1), z_and_ages=(2 * n_z, 1))
     shapes |= {name: step.sparsity_in(name) for name in step.name_in()[2:]}
 
     @casadi_function("replay", ca.MX, **shapes)
@@ -164,10 +167,43 @@ def _build_scan(step, model, dt_s, quantities, record):
         z, ages_s = ca.vertsplit(z_and_ages, n_z)
         z = _moved_to_sample(motion, memory[n:], z, ages_s, model, dt_s)
         results = step.call([memory[:n], z, *settings.values()])
-        recorded = record(dict(zip(["memory", "estimate", *step.name_out()[2:]], results)), z)
-        return dict(memory=ca.vertcat(results[0], recorded["estimate"])) | recorded
+        outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
+        nan = ca.DM.nan(1)
+        value = dict(zip(estimated, ca.vertsplit(outputs["estimate"])))
+        variance = {name: outputs["covariance"][i, i] for i, name in enumerate(covered)}
+        recorded = dict(
+            estimate=ca.vertcat(*(value.get(name, nan) for name in names)),
+            sigma=ca.vertcat(*(ca.sqrt(variance.get(name, nan)) for name in names)),
+            deviance=outputs.get("deviance", nan),
+            kkt=outputs.get("kkt", nan),
+            ok=outputs.get("ok", ca.MX(1)),
+        )
+        if gates:
+            # An estimator without flags uses all valid measurements, and never restarts.
+            valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(model.limits)]
+            accepted = outputs.get("accepted", ca.vertcat(*valid))
+            recorded["accepted"] = ca.vertcat(*(accepted[i] * accepted[j] for i, j in gates))
+            recorded["restart"] = outputs.get("restart", ca.MX(0))
+        return dict(memory=ca.vertcat(outputs["memory"], recorded["estimate"])) | recorded
 
     return runner.build_recorded(replay_step, replay_step.name_out()[1:])
+
+
+def _estimator(kind, *structure):
+    """Step, Model, length of a sample, names of its estimate and of what its covariance covers.
+
+    The arguments are those of `build_scan`.
+    """
+    if kind == "rhe":
+        (window,) = structure
+        step = rhe.build_phases(window)["step"]
+        return step, window.model, window.dt_s, window.estimated, window.model.joint_names
+    if kind == "ekf":
+        model, dt_s = structure
+        return ekf.build(model, dt_s)["step"], model, dt_s, model.names, model.joint_names
+    choice = Choice(*structure)
+    covered = estimator_of(choice.estimator).states(choice)
+    return build_step(choice), _model_of(choice), choice.dt_s, QUANTITIES, covered
 
 
 def _moved_to_sample(motion, last, z, ages_s, model, dt_s):
@@ -212,7 +248,7 @@ def motion_of(model, names):
     return ca.Function("motion", [estimate, z, tau_s], results)
 
 
-def predictor(model, names=_QUANTITIES):
+def predictor(model, names):
     """A function that predicts many estimates of a Model at once, by `motion_of`.
 
     Args:
@@ -232,146 +268,46 @@ def predictor(model, names=_QUANTITIES):
     return predict
 
 
-# The paper's robot
+# A segment
 
 
-def quantities_of(names=()):
-    """What a replay with these sensors estimates."""
-    return (*_QUANTITIES, *(sensors.GYRO if "gyro" in names else ()))
+def estimated(how, stream, first_memory, yaw_rad, sigma_yaw_rad):
+    """What a Replay records of a segment, and its innovations; NaN before the first position.
 
-
-def hats_of(names=()):
-    """The columns of these estimates."""
-    return [*ESTIMATE, *LEVER_ARM, *(GYRO if "gyro" in names else ())]
-
-
-def measured_of(names=()):
-    """The columns of the measurements of a robot with these sensors, in the order of z."""
-    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
-
-
-def _sigmas_of(names):
-    """The columns of the standard deviations of these estimates."""
-    return [*SIGMA, *(SIGMA_GYRO if "gyro" in names else ())]
-
-
-def model_of(choice):
-    """The Model that the estimator of a Choice uses for predictions."""
-    return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
-
-
-def build_replay(*choice):
-    """The scan of an estimator of the paper's robot, of the fields of a Choice."""
-    choice = Choice(*choice)
-    quantities = quantities_of(choice.sensors)
-    states = estimator_of(choice.estimator).states(choice)
-    further = set(quantities[len(QUANTITIES) :]) & set(states)
-
-    def record(outputs, z):
-        estimate = dict(zip(QUANTITIES, ca.vertsplit(outputs["estimate"])))
-        sigma = {name: ca.sqrt(outputs["covariance"][i, i]) for i, name in enumerate(states)}
-        if further:
-            window = window_of(choice)
-            packed = outputs["memory"][: packed_size(window.memory)]
-            newest = ca.vertsplit(unpack(packed, window.memory)["s"][:, window.N])
-            estimate |= {name: value for name, value in zip(states, newest) if name in further}
-        # An estimator without flags uses all valid measurements, converges and never restarts.
-        limits = SPEED_MODELS["parameter"].model.limits
-        valid = [is_valid_measurement(z[row], limit) for row, limit in enumerate(limits)]
-        accepted = outputs.get("accepted", ca.vertcat(*valid))
-        nan = ca.DM.nan(1)
-        return dict(
-            estimate=ca.vertcat(*(estimate.get(name, nan) for name in quantities)),
-            sigma=ca.vertcat(*(sigma.get(name, nan) for name in quantities)),
-            deviance=outputs.get("deviance", nan),
-            kkt=outputs.get("kkt", nan),
-            ok=outputs.get("ok", ca.MX(1)),
-            accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
-            restart=outputs.get("restart", ca.MX(0)),
-        )
-
-    return _build_scan(build_step(choice), model_of(choice), paper.DT_S, quantities, record)
-
-
-def replay_of(scenario):
-    """The Replay of a scenario's estimator."""
-    names = scenario.sensors
-    choice = Choice.of(scenario)
-    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
-    settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
-    measured = measured_of(names)
-    return Replay(
-        dt_s=paper.DT_S,
-        model=model_of(choice),
-        quantities=quantities_of(names),
-        measured=measured,
-        means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
-        recorded=dict(
-            estimate=hats_of(names),
-            sigma=_sigmas_of(names),
-            deviance=["deviance"],
-            kkt=["kkt_rhe"],
-            ok=["ok"],
-            accepted=GATE[:2],
-            restart=GATE[2:],
-        ),
-        build=build_replay,
-        structure=tuple(choice),
-        settings=settings,
-    )
-
-
-def first_memory(scenario, pose, nu, first=_UNKNOWN):
-    """The memory of `build_replay` before the first sample.
+    With an unknown initial yaw several are tried. A row is taken from the direction with the
+    smallest sum of squared innovations until then, so that no row depends on later measurements.
 
     Args:
-        scenario: The Scenario of the estimator.
-        pose: Guess of (x, y, θ) [m, m, rad].
-        nu: Guess of the speed [m/s].
-        first: The InitialGuess.
-
-    Returns:
-        (n,) the estimator's memory, then the guess of `quantities_of`.
-    """
-    guess = (*pose, nu, 1.0, 1.0, *(first.lever_arm_m or first.about_arm_m))
-    if "gyro" in scenario.sensors:
-        guess += (*sensors.GYRO_GUESS.values(),)
-    choice = Choice.of(scenario)
-    estimator = estimator_of(choice.estimator)
-    named = dict(zip(quantities_of(scenario.sensors), guess))
-    return np.append(pack_array(estimator.init(choice, named, _sigma_first(first))), guess)
-
-
-def _sigma_first(first):
-    """Standard deviations of an InitialGuess, by the names of _QUANTITIES."""
-    sigma = dict(zip(_QUANTITIES, _SIGMA_FIRST)) | dict(theta_rad=first.sigma_yaw_rad)
-    if first.lever_arm_m is not None:
-        sigma |= dict.fromkeys(slipping.LEVER_ARM, _SIGMA_ARM_M)
-    return sigma
-
-
-def _run(how, scenario, stream, first, yaw_rad, sigma_yaw_rad):
-    """What the Replay records of one segment; NaN before the first position.
-
-    Args:
-        how: The Replay of the scenario.
-        scenario: The Scenario of the estimator.
+        how: The Replay. The first two measurements are the position.
         stream: (n, 2 n_z), as of `recording.with_ages`.
-        first: The InitialGuess.
-        yaw_rad: Guess of the initial yaw [rad].
+        first_memory: Function (first position (2,) [m], yaw [rad], its standard deviation [rad]) ->
+            memory, as for `Replay.scanned`.
+        yaw_rad: Guess of the initial yaw [rad], or None.
         sigma_yaw_rad: Its standard deviation [rad].
     """
-    first = first._replace(sigma_yaw_rad=sigma_yaw_rad)
     has_position = np.isfinite(stream[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(stream)
-    x, y = stream[begin, :2] if has_position.any() else (0.0, 0.0)
-    nu = np.nan_to_num(stream[0, 2])
-    estimates = how.scanned(first_memory(scenario, (x, y, yaw_rad), nu, first), stream)
-    estimates.iloc[:begin] = np.nan
-    return estimates
+    place = stream[begin, :2] if has_position.any() else np.zeros(2)
+
+    def run_from(yaw_rad, sigma_yaw_rad):
+        run = how.scanned(first_memory(place, yaw_rad, sigma_yaw_rad), stream)
+        run.iloc[:begin] = np.nan
+        return run
+
+    if yaw_rad is not None:
+        found = run_from(yaw_rad, sigma_yaw_rad)
+    else:
+        yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
+        runs = [run_from(each, np.pi / _N_HEADINGS) for each in yaws]
+        squares = [np.square(_innovations(how, run, stream)) for run in runs]
+        best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
+        chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
+        found = pd.DataFrame(chosen, columns=runs[0].columns)
+    innovations = pd.DataFrame(_innovations(how, found, stream), columns=INNOVATION)
+    return pd.concat([innovations, found], axis=1)
 
 
-def innovations(how, estimates, stream):
+def _innovations(how, estimates, stream):
     """Measured minus predicted position at each sample (n, 2) [m]; the first is NaN.
 
     The prediction starts at the previous estimate and uses the encoder measurements until the time
@@ -386,23 +322,66 @@ def innovations(how, estimates, stream):
     return found
 
 
-def most_likely_heading(how, run_from, stream):
-    """What a Replay records of one segment with an unknown initial yaw: several are tried.
+# The paper's robot
 
-    A row is taken from the direction with the smallest sum of squared innovations until then, so
-    that no row depends on later measurements.
+
+def measured_of(names=()):
+    """The columns of the measurements of a robot with these sensors, in the order of z."""
+    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
+
+
+def _model_of(choice):
+    """The Model by which an estimator of the paper's robot is predicted."""
+    return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
+
+
+def replay_of(scenario):
+    """The Replay of a scenario's estimator."""
+    choice = Choice.of(scenario)
+    model = _model_of(choice)
+    quantities = (*_SIGMA_FIRST, *(sensors.GYRO if "gyro" in scenario.sensors else ()))
+    structure = ("named", *choice)
+    if choice.estimator == "rhe":
+        known = (*QUANTITIES, *(name for name in quantities[6:] if name in model.joint_names))
+        structure = ("rhe", window_of(choice)._replace(quantities=known))
+    # The estimators of a replay do not receive the traction, except for the one that assumes 1.
+    settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
+    measured = measured_of(scenario.sensors)
+    return Replay(
+        model=model,
+        dt_s=paper.DT_S,
+        quantities=quantities,
+        hats=[_HATS[name] for name in quantities],
+        sigmas=[_SIGMAS[name] for name in quantities],
+        measured=measured,
+        means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
+        structure=(POSITION_AND_ENCODERS, *structure),
+        settings=settings,
+    )
+
+
+def _first_memory(how, scenario, first, nu, place, yaw_rad, sigma_yaw_rad):
+    """The memory of a scenario's scan before the first sample.
 
     Args:
-        how: The Replay.
-        run_from: Function (first yaw [rad], its standard deviation [rad]) -> what it records.
-        stream: (n, 2 n_z), as of `recording.with_ages`.
+        how: The Replay of the scenario.
+        scenario: The Scenario of the estimator.
+        first: The InitialGuess.
+        nu: Guess of the speed [m/s].
+        place, yaw_rad, sigma_yaw_rad: As in `estimated`.
     """
-    yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
-    runs = [run_from(yaw_rad, np.pi / _N_HEADINGS) for yaw_rad in yaws]
-    squares = [np.square(innovations(how, run, stream)) for run in runs]
-    best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
-    chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
-    return pd.DataFrame(chosen, columns=runs[0].columns)
+    arm_m = first.lever_arm_m or first.about_arm_m
+    guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m))) | sensors.GYRO_GUESS
+    sigma = _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
+    choice = Choice.of(scenario)
+    memory = pack_array(estimator_of(choice.estimator).init(choice, guess, sigma))
+    return np.append(memory, [guess[name] for name in how.quantities])
+
+
+def _sigma_first(first):
+    """Standard deviations of an InitialGuess, by the names of _SIGMA_FIRST."""
+    is_given = first.lever_arm_m is not None
+    return _SIGMA_FIRST | dict.fromkeys(slipping.LEVER_ARM if is_given else (), _SIGMA_ARM_M)
 
 
 def _smooth(how, part, stream, first):
@@ -421,11 +400,12 @@ def _smooth(how, part, stream, first):
     stream = stream[is_known]
     stream[rows["position_accepted"] != 1, :2] = np.nan
     stream[rows["encoders_accepted"] != 1, 2:4] = np.nan
-    columns = dict(zip(how.quantities, how.hats)) | dict(omega_radps=MEASUREMENTS[3])
+    columns = _HATS | dict(omega_radps=MEASUREMENTS[3])
     # Last inputs that no encoder measures begin at 0.
     trajectory = rows.reindex(columns=[columns.get(name, "") for name in how.model.joint_names])
-    sigma = _sigma_first(first)
-    sigma["theta_rad"] = np.pi if first.yaw_rad is None else first.sigma_yaw_rad
+    # The yaw is as unknown as before the estimator found it.
+    sigma_yaw_rad = np.pi if first.yaw_rad is None else first.sigma_yaw_rad
+    sigma = _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
     s, sigma = smoothed(
         how.model,
         how.dt_s,
@@ -434,12 +414,11 @@ def _smooth(how, part, stream, first):
         trajectory.fillna(0.0).to_numpy(),
         stream,
     )
-    sigmas = dict(zip(how.quantities, how.recorded["sigma"]))
     part = part.copy()
     for place, name in enumerate(how.model.joint_names):
         if name in how.quantities:
-            part.loc[is_known, columns[name]] = s[:, place]
-            part.loc[is_known, sigmas[name]] = sigma[:, place]
+            part.loc[is_known, _HATS[name]] = s[:, place]
+            part.loc[is_known, _SIGMAS[name]] = sigma[:, place]
     part[ESTIMATE[4:]] = part[ESTIMATE[4:]].clip(0, 1)
     return part
 
@@ -455,54 +434,36 @@ def _first_yaw(first, number, samples):
     return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
 
 
-def _corrupt(part, faults, recording, names, seed):
-    """Put the faults into the samples of a segment."""
-    measured = measured_of(names)
-    named = tuple(name for name in SENSORS if name in names)
-    z = part[measured].to_numpy()
-    z = corrupted(z, faults, part["t_s"], recording.track_width_m, seed, named)
-    # Infinite measurements count as missing, as in a log.
-    part[measured] = np.where(np.isfinite(z), z, np.nan)
-
-
-def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smooth=False):
+def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=None):
     """Estimates of a Recording by a scenario's estimator.
 
     Args:
         recording: The Recording.
         scenario: The Scenario of the estimator, as `replay_scenario` returns it.
         first: The InitialGuess.
-        faults: (rhec.Fault, …) that corrupt the measurements, at times of the log.
-        seed: Seed of the random directions of the faults.
         smooth: Whether later measurements count, too (`rhec.logs.smoother`).
+        samples: What the estimator receives, as of `Recording.samples`, which is the default.
 
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
     how = replay_of(scenario)
-    names = scenario.sensors
     noise_m = position_sigma_m(recording.rows)
     parts = []
-    for number, part in enumerate(recording.samples()):
-        if faults:
-            _corrupt(part, faults, recording, names, seed)
+    for number, part in enumerate(samples or recording.samples()):
         used = part
-        if "gyro" in names:
+        if "gyro" in scenario.sensors:
             gyro = part[SENSORS["gyro"]]
             omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
             part[GYRO_ACCEPTED] = gyro_check.are_accepted(gyro, omega)
             used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
         stream = with_ages(used, how.measured)
+        first_memory = partial(_first_memory, how, scenario, first, np.nan_to_num(stream[0, 2]))
         yaw_rad = _first_yaw(first, number, part)
-        run_from = partial(_run, how, scenario, stream, first)
-        if yaw_rad is None:
-            estimates = most_likely_heading(how, run_from, stream)
-        else:
-            estimates = run_from(yaw_rad, first.sigma_yaw_rad)
-        part[INNOVATION] = innovations(how, estimates, stream)
+        estimates = estimated(how, stream, first_memory, yaw_rad, first.sigma_yaw_rad)
         part = pd.concat([part, estimates], axis=1)
         # A heading tells the yaw whatever the course is.
-        by_course = 0.0 if "heading" in names else yaw_sigma_rad(part, noise_m)
+        by_course = 0.0 if "heading" in scenario.sensors else yaw_sigma_rad(part, noise_m)
         if smooth:
             part = _smooth(how, part, stream, first)
         part[SIGMA_BY_COURSE] = by_course
@@ -512,14 +473,127 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, faults=(), seed=0, smo
     return samples.assign(**{name: samples[name] == 1 for name in FLAGS})
 
 
+def replay_scenario(estimator, recording, fields):
+    """The Scenario with the estimator of a replay.
+
+    Args:
+        estimator: As in `replay`.
+        recording: The Recording.
+        fields: {name: value} of Scenario's parameters, among those that `replay` takes.
+
+    Returns:
+        Scenario, with a replay's defaults.
+
+    Raises:
+        ValueError: For a parameter that no replay takes, or an estimator that needs the truth.
+    """
+    unknown = [name for name in fields if name not in ESTIMATOR_FIELDS]
+    if unknown:
+        raise ValueError(
+            f"replay has no parameter {unknown[0]!r}; of Scenario's parameters it takes "
+            f"{', '.join(ESTIMATOR_FIELDS)}"
+        )
+    fields = dict(speed_model="slipping") | fields
+    if fields["speed_model"] == "slipping":
+        is_rhe = estimator == "rhe"
+        fields = dict(sensors=recording.sensors if is_rhe else ()) | fields
+        if fields.get("sigma_v") is None:
+            sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
+            fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
+    for name in fields.get("sensors", ()):
+        if name in SENSORS and name not in recording.sensors:
+            raise ValueError(
+                f"sensors was {fields['sensors']!r}; the log has no numbers in a column "
+                f"{recording.columns[SENSORS[name]]}: sensors may have the names "
+                f"{recording.sensors!r}"
+            )
+    scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
+    if not _runs_without_truth(scenario.estimator):
+        names = [repr(name) for name in NAMES if _runs_without_truth(name)]
+        raise ValueError(
+            f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
+            "the others need the truth"
+        )
+    return scenario
+
+
+def _runs_without_truth(estimator):
+    """Whether an estimator needs no truth, such as the traction."""
+    return estimator_of(estimator).traction_input is TractionInput.NONE
+
+
+# Any Model
+
+
+def _replay_model(log, model, estimator, delays_s, arguments):
+    """Replay a log with the RHE or EKF of a Model, which restarts in each segment."""
+    classes = {"rhe": rhe.RHE, "ekf": ekf.EKF}
+    if estimator not in classes:
+        raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
+    live = classes[estimator](model=model, **arguments)  # before the log is read
+    dt_s = arguments["dt"]
+    mean, sigma = joint_guess(model, arguments["guess"], arguments["sigma_guess"])
+    structure = ("ekf", model, dt_s)
+    if estimator == "rhe":
+        structure = ("rhe", live.window)
+        memory = pack_array(rhe.init(live.window, mean, sigma))
+    else:
+        memory = live.first_memory
+    guess = dict(zip(model.joint_names, mean))
+    memory = np.append(memory, [guess.get(name, 0.0) for name in model.names])
+    recording = prepare_for(model, dt_s, log, delays_s)
+    how = Replay(
+        model=model,
+        dt_s=dt_s,
+        quantities=model.names,
+        hats=[f"{name}_hat" for name in model.names],
+        sigmas=[f"{name}_sigma" for name in model.names],
+        measured=[*model.outputs],
+        means=_means_of(model),
+        structure=((), *structure),
+        settings=live.settings,
+        timing=recording.timing,
+    )
+    parts = [
+        pd.concat([part, how.scanned(memory, with_ages(part, how.measured))], axis=1)
+        for part in samples_for(model, dt_s, recording)
+    ]
+    samples = pd.concat(parts, ignore_index=True)
+    # The covariance is that of states and parameters.
+    others = [f"{name}_sigma" for name in model.inputs]
+    samples = samples.drop(columns=[*others, "deviance", "kkt_rhe"])
+    return at_rows(samples.assign(ok=samples["ok"] == 1), recording, log, how)
+
+
+def samples_for(model, dt_s, recording):
+    """Samples of a Model, a DataFrame for each segment of its Recording."""
+    parts = []
+    for segment, rows in recording.rows.groupby("segment"):
+        part = resample(rows, dt_s, True, model.outputs, _means_of(model), recording.timing)
+        part.insert(0, "segment", segment)
+        parts.append(part)
+    return parts
+
+
+def _means_of(model):
+    """The outputs of a Model that measure inputs, means over an interval."""
+    return [model.outputs[row] for row in model.input_outputs.values()]
+
+
 # Rows of the log
 
 
-def _at_rows(samples, recording, log, how):
+def at_rows(samples, recording, log, how):
     """One row for each row of the log, in its order and with its index.
 
     A row has the estimate of the last sample, predicted to the time of the row. An unusable row has
     the estimate of the previous row.
+
+    Args:
+        samples: DataFrame of all samples.
+        recording: The Recording of the log.
+        log: DataFrame.
+        how: The Replay.
     """
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
@@ -533,11 +607,13 @@ def _at_rows(samples, recording, log, how):
     result.loc[usable < 0, how.measured] = np.nan
     result.loc[usable < 0, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
     result.attrs["faults"] = recording.faults
+    if "origin" in log.attrs:
+        result.attrs["origin"] = log.attrs["origin"]
     return result
 
 
 def _at_rows_of_segment(samples, rows, averaged, how):
-    """`_at_rows` of the samples and usable rows of one segment."""
+    """`at_rows` of the samples and usable rows of one segment."""
     t = rows["t_s"].to_numpy()
     sampled = samples["t_s"].to_numpy()
     last = np.searchsorted(sampled, t, side="right") - 1
@@ -556,81 +632,6 @@ def _at_rows_of_segment(samples, rows, averaged, how):
     of_row = rows.columns.difference(["segment", POSITION_AGE], sort=False)
     result[of_row] = rows[of_row].to_numpy()
     return result
-
-
-# Any Model
-
-
-def build_model_replay(of_rhe, *structure):
-    """The scan of the RHE of a Window, or of the EKF of a Model and dt [s]."""
-    if of_rhe:
-        (window,) = structure
-        model = window.model
-        dt_s = window.dt_s
-        step = rhe.build_phases(window)["step"]
-    else:
-        model, dt_s = structure
-        step = ekf.build(model, dt_s)["step"]
-    names = (*model.states, *model.parameters)
-
-    def record(outputs, z):
-        P = outputs["covariance"]
-        places = [model.joint_names.index(name) for name in names]
-        sigma = ca.vertcat(*(ca.sqrt(P[place, place]) for place in places))
-        estimate = outputs["estimate"]
-        return dict(
-            estimate=estimate,
-            sigma=sigma,
-            ok=outputs.get("ok", ca.MX(1)),
-            deviance=outputs.get("deviance", ca.DM.nan(1)),
-        )
-
-    return _build_scan(step, model, dt_s, model.names, record)
-
-
-def _replay_model(log, model, estimator, delays_s, arguments):
-    """Replay a log with the RHE or EKF of a Model, which restarts in each segment."""
-    classes = {"rhe": rhe.RHE, "ekf": ekf.EKF}
-    if estimator not in classes:
-        raise ValueError(f"estimator was {estimator!r}; for a model it should be 'rhe' or 'ekf'")
-    live = classes[estimator](model=model, **arguments)  # before the log is read
-    dt_s = arguments["dt"]
-    mean, sigma = joint_guess(model, arguments["guess"], arguments["sigma_guess"])
-    if estimator == "rhe":
-        structure = (True, live.window)
-        memory = pack_array(rhe.init(live.window, mean, sigma))
-    else:
-        structure = (False, model, dt_s)
-        memory = live.first_memory
-    guess = dict(zip(model.joint_names, mean))
-    memory = np.append(memory, [guess.get(name, 0.0) for name in model.names])
-    recording = prepare_for(model, dt_s, log, delays_s)
-    how = Replay(
-        dt_s=dt_s,
-        model=model,
-        quantities=model.names,
-        measured=[*model.outputs],
-        means=[model.outputs[row] for row in model.input_outputs.values()],
-        recorded=dict(
-            estimate=[f"{name}_hat" for name in model.names],
-            sigma=[f"{name}_sigma" for name in (*model.states, *model.parameters)],
-            ok=["ok"],
-        ),
-        build=build_model_replay,
-        structure=structure,
-        settings=live.settings,
-        timing=recording.timing,
-    )
-    parts = []
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, dt_s, True, how.measured, how.means, how.timing)
-        estimates = how.scanned(memory, with_ages(part, how.measured))
-        part = pd.concat([part, estimates], axis=1)
-        part.insert(0, "segment", segment)
-        parts.append(part)
-    samples = pd.concat(parts, ignore_index=True)
-    samples["ok"] = samples["ok"] == 1
-    return _at_rows(samples, recording, log, how)
 
 
 # The public function
@@ -663,23 +664,15 @@ def replay(
             - `speed_mps`, `yaw_rate_radps`: by the encoders, not corrected for slip; or the track
               speeds `v_left_mps`, `v_right_mps`, together with a track_width_m.
 
-            Optional columns:
-
-            - `segment`: changes where the robot was moved without driving;
-            - `gyro_radps`: yaw rate by a gyro, counter-clockwise [rad/s]. Its bias and scale are
-              estimated;
-            - `heading_rad`: direction of the robot from the x axis, counter-clockwise [rad], as by
-              two GNSS antennas;
-            - `pos_ok`, `encoders_ok`: false where that measurement is invalid;
-            - `x_true_m`, `y_true_m`, `yaw_true_rad`, `v_true_mps`, `yaw_rate_true_radps`: the
-              truth, which the estimators do not use.
-
-            Other columns are ignored. The log of a `rhec.simulate` run is accepted as well and
-            recognised by its column `x_meas_m`. With a model the log has `t_s`, a column for each
-            of the model's outputs and optionally `segment`, with a row at least every dt. Outputs
-            may be measured in different rows and at different rates; a measured input is the mean
-            since its previous measurement. `rhec.logs.recording` describes the
-            treatment of faults of real logs.
+            Optional are `segment`, which changes where the robot was moved without driving,
+            `gyro_radps` [rad/s] and `heading_rad` [rad], both counter-clockwise, and `pos_ok` and
+            `encoders_ok`, false where that measurement is invalid. docs/log_columns.md lists the
+            columns of the truth, which the estimators do not use. The log of a `rhec.simulate` run
+            is accepted as well. With a model the log has `t_s`, a column for each of the model's
+            outputs and optionally `segment`, with a row at least every dt. Outputs may be measured
+            in different rows and at different rates; a measured input is the mean since its
+            previous measurement. `rhec.logs.recording` describes the treatment of faults of real
+            logs.
         estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
             a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
@@ -702,11 +695,11 @@ def replay(
             of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
             smoothed as well.
         **fields: Parameters of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The
-            default speed_model is "slipping": "input" (interpretation R13) with noise that grows
-            with the motion. With "slipping" the estimator "rhe"
-            uses the gyro and the heading of the log unless sensors says otherwise. Without a
-            sigma_v the noise of the positions is asked of the log.
+            speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The default
+            speed_model is "slipping": "input" (interpretation R13) with noise that grows with the
+            motion. With it the estimator "rhe" uses the gyro and the heading of the log unless
+            sensors says otherwise, and without a sigma_v the log is asked for the noise of the
+            positions.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;
@@ -746,17 +739,13 @@ def replay(
     if not trust_log:
         refuse(recording)
     scenario = replay_scenario(estimator, recording, fields)
-    _refuse_lever_arm(lever_arm_m, scenario)
-    if smooth is None:
-        smooth = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
-    _refuse_smooth(smooth, scenario)
+    smooth = _checked_smooth(smooth, lever_arm_m, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
     about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
-    first = InitialGuess(yaws, sigma_yaw_rad or _SIGMA_FIRST[2], lever_arm_m, about_arm_m)
-    samples = estimate_samples(recording, scenario, first, smooth=smooth)
-    result = _at_rows(samples, recording, log, replay_of(scenario))
-    if "origin" in log.attrs:
-        result.attrs["origin"] = log.attrs["origin"]
+    sigma_yaw_rad = sigma_yaw_rad or _UNKNOWN.sigma_yaw_rad
+    first = InitialGuess(yaws, sigma_yaw_rad, lever_arm_m, about_arm_m)
+    samples = estimate_samples(recording, scenario, first, smooth)
+    result = at_rows(samples, recording, log, replay_of(scenario))
     result.attrs["remarks"] = remarks(samples)
     if unknown := unknown_yaw(samples):
         warnings.warn(unknown, stacklevel=3)
@@ -770,24 +759,21 @@ def refuse_with_model(**arguments: Any) -> None:
             raise ValueError(f"{name} was {value!r}; a replay with a model does not take it")
 
 
-def _refuse_lever_arm(lever_arm_m, scenario):
-    """Raise a ValueError for a lever arm that the scenario's estimator does not take."""
-    takes_one = scenario.estimator == "rhe" and scenario.speed_model == "slipping"
-    if lever_arm_m is not None and not takes_one:
+def _checked_smooth(smooth, lever_arm_m, scenario):
+    """Whether to smooth; a ValueError where the scenario's estimator takes no such argument."""
+    is_rhe = scenario.estimator == "rhe"
+    slips = is_rhe and scenario.speed_model == "slipping"
+    if lever_arm_m is not None and not slips:
         raise ValueError(
             f"lever_arm_m was {lever_arm_m!r}; only the estimator 'rhe' with speed_model "
             "'slipping' takes one"
         )
-
-
-def _refuse_smooth(smooth, scenario):
-    """Raise a ValueError for an estimator that cannot be smoothed."""
-    takes_it = scenario.estimator == "rhe" and scenario.speed_model != "parameter"
-    if smooth and not takes_it:
+    if smooth and not (is_rhe and scenario.speed_model != "parameter"):
         raise ValueError(
             "smooth was True; only the estimator 'rhe' with speed_model 'slipping' or 'input' can "
             "be smoothed"
         )
+    return slips if smooth is None else smooth
 
 
 def _yaw_of_each_segment(first_yaw_rad, recording):
@@ -803,58 +789,3 @@ def _yaw_of_each_segment(first_yaw_rad, recording):
             f"each of the log's {segments} segments"
         )
     return first_yaw_rad
-
-
-def replay_scenario(estimator, recording, fields):
-    """The Scenario with the estimator of a replay.
-
-    Args:
-        estimator: As in `replay`.
-        recording: The Recording.
-        fields: {name: value} of Scenario's parameters, among those that `replay` takes.
-
-    Returns:
-        Scenario, with a replay's defaults.
-
-    Raises:
-        ValueError: For a parameter that no replay takes, or an estimator that needs the truth.
-    """
-    unknown = [name for name in fields if name not in ESTIMATOR_FIELDS]
-    if unknown:
-        raise ValueError(
-            f"replay has no parameter {unknown[0]!r}; of Scenario's parameters it takes "
-            f"{', '.join(ESTIMATOR_FIELDS)}"
-        )
-    fields = dict(speed_model="slipping") | fields
-    if fields["speed_model"] == "slipping":
-        is_rhe = estimator == "rhe"
-        present = recording.sensors if is_rhe else ()
-        fields = dict(sensors=present) | fields
-        if fields.get("sigma_v") is None:
-            sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
-            fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
-    _refuse_missing_sensors(fields.get("sensors", ()), recording)
-    scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
-    if not _runs_without_truth(scenario.estimator):
-        names = [repr(name) for name in NAMES if _runs_without_truth(name)]
-        raise ValueError(
-            f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
-            "the others need the truth"
-        )
-    return scenario
-
-
-def _refuse_missing_sensors(names, recording):
-    """Raise a ValueError for a sensor that the recording does not have."""
-    for name in names:
-        if name in SENSORS and name not in recording.sensors:
-            column = recording.columns[SENSORS[name]]
-            raise ValueError(
-                f"sensors was {names!r}; the log has no numbers in a column {column}: sensors may "
-                f"have the names {recording.sensors!r}"
-            )
-
-
-def _runs_without_truth(estimator):
-    """Whether an estimator needs no truth, such as the traction."""
-    return estimator_of(estimator).traction_input is TractionInput.NONE

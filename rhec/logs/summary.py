@@ -19,7 +19,7 @@ from rhec.logs.doctor import Diagnosis, doctor
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import delayed, prepare, travelled
 from rhec.logs.remarks import unknown_yaw
-from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
+from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ class Summary:
             is refused.
         comparison: Comparison of the RHE, causal, with an EKF of (μ, κ) and one of ICR.
         samples: DataFrame of the smoothed samples.
+        estimates: DataFrame, the smoothed estimates at the rows of the log, as of `rhec.replay`.
         yaml: The robot's parameters for ROS (`rhec.logs.terms`).
     """
 
@@ -65,6 +66,7 @@ class Summary:
     traction: pd.DataFrame | None = None
     comparison: Comparison | None = None
     samples: pd.DataFrame | None = None
+    estimates: pd.DataFrame | None = None
     yaml: str = ""
 
     def __str__(self) -> str:
@@ -139,10 +141,10 @@ def log(
     smoothed = estimate_samples(recording, scenario, about, smooth=True)
     comparison = compare(recording, smoothed, about)
     slopes = terms.slopes(smoothed)
-    traction = pd.DataFrame({name: terms.row(*slope) for name, slope in zip("μκ", slopes)}).T
-    traction = traction.drop(columns="unit")
+    rows = [terms.row(*slope)[:3] for slope in slopes]
+    traction = pd.DataFrame(rows, index=["μ", "κ"], columns=["value", "low", "high"])
     width_m = recording.track_width_m
-    parameters = terms.table(*slopes, width_m, terms.antenna(smoothed))
+    parameters = terms.table(*slopes, width_m, terms.constants(smoothed))
     noise = terms.noise(smoothed)
     return Summary(
         taken=_taken(recorded, recording),
@@ -152,6 +154,7 @@ def log(
         traction=traction,
         comparison=comparison,
         samples=smoothed,
+        estimates=at_rows(smoothed, recording, recorded, replay_of(scenario)),
         yaml=terms.as_yaml(parameters, width_m, noise, diagnosis.facts["encoders_hz"]),
     )
 

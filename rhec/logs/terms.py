@@ -1,7 +1,8 @@
 """What a log says of a robot in the terms of its ROS drivers, with 95 % intervals.
 
 The parameters belong to diff_drive_controller (multipliers of wheel radius and separation), to
-static_transform_publisher (the antenna) and to the driver of an IMU (bias and scale of its gyro).
+robot_localization (noise), to static_transform_publisher (the antenna) and to the driver of an IMU
+(bias and scale of its gyro).
 """
 
 from typing import NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.simulation.columns import ESTIMATE, GYRO, LEVER_ARM, MEASUREMENTS, SIGMA, SIGMA_GYRO
 
 _STEP = 5  # samples between the estimates that are compared
 _BLOCK_S = 10.0  # length of the blocks that the jackknife leaves out
@@ -20,6 +21,13 @@ _Z = 1.96
 _PROCESS = (0.05, 0.05, 0.06, 0.03, 0.03, 0.06, 0.025, 0.025, 0.04, 0.01, 0.01, 0.02)
 _PROCESS += (0.01, 0.01, 0.015)
 _NONE = 1e-6  # of what moves by its velocity alone, or does not move
+# Columns of estimate and standard deviation, and unit, of what a replay estimates of a robot.
+_CONSTANTS = {
+    "antenna ahead": (LEVER_ARM[0], SIGMA[6], "m"),
+    "antenna left": (LEVER_ARM[1], SIGMA[7], "m"),
+    "gyro bias": (GYRO[0], SIGMA_GYRO[0], "rad/s"),
+    "gyro scale": (GYRO[1], SIGMA_GYRO[1], "-"),
+}
 
 
 class Slope(NamedTuple):
@@ -122,60 +130,54 @@ def noise(samples):
     )
 
 
-def row(value, sigma, unit="-"):
-    """A row of `table`: value and 95 % interval of what has this standard deviation."""
-    return dict(value=value, low=value - _Z * sigma, high=value + _Z * sigma, unit=unit)
-
-
-def _inverse(slope, factor, unit):
-    """A row of factor / slope."""
-    low = factor / (slope.value + _Z * slope.sigma)
-    high = factor / max(slope.value - _Z * slope.sigma, 1e-6)
-    return dict(value=factor / slope.value, low=low, high=high, unit=unit)
-
-
 def table(mu, kappa, width_m, others):
-    """The parameters as a DataFrame with columns value, low, high, unit.
+    """The parameters as a DataFrame with columns value, low, high (95 %), unit.
 
     Args:
         mu, kappa: Slopes.
         width_m: The stated track width [m].
-        others: {parameter: (value, standard deviation, unit)}.
+        others: {parameter: (value, low, high, unit)}.
     """
-    ratio = np.hypot(mu.sigma / mu.value, kappa.sigma / kappa.value)
-    multiplier = mu.value / kappa.value
+    inverse = 1 / np.array([kappa.value, kappa.value + _Z * kappa.sigma, _least(kappa)])
+    ratio = mu.value / kappa.value
+    sigma = ratio * np.hypot(mu.sigma / mu.value, kappa.sigma / kappa.value)
     rows = {
-        "wheel_separation_multiplier (1/κ)": _inverse(kappa, 1.0, "-"),
-        "effective track width": _inverse(kappa, width_m, "m"),
+        "wheel_separation_multiplier (1/κ)": (*inverse, "-"),
+        "effective track width": (*(width_m * inverse), "m"),
         "wheel_radius_multiplier (μ)": row(*mu),
-        "wheel_separation_multiplier with it (μ/κ)": row(multiplier, multiplier * ratio),
+        "wheel_separation_multiplier with it (μ/κ)": row(ratio, sigma),
     }
-    rows |= {name: row(*value) for name, value in others.items()}
-    return pd.DataFrame(rows).T
+    return pd.DataFrame(rows | others, index=["value", "low", "high", "unit"]).T
 
 
-def antenna(samples):
-    """{parameter: (value, standard deviation, unit)} of the antenna, by smoothed samples.
+def row(value, sigma, unit="-"):
+    """Value, 95 % interval and unit of what has this standard deviation."""
+    return value, value - _Z * sigma, value + _Z * sigma, unit
 
-    It is empty for a replay that does not estimate the lever arm.
+
+def _least(slope):
+    """The lower limit of a Slope, above 0."""
+    return max(slope.value - _Z * slope.sigma, 1e-6)
+
+
+def constants(samples):
+    """{parameter: (value, low, high, unit)} of antenna and gyro, by smoothed samples.
+
+    What the replay does not estimate is left out.
     """
-    names = ("antenna ahead", "antenna left")
-    last = samples.dropna(subset=LEVER_ARM).tail(1)
+    last = samples.dropna(subset=ESTIMATE[0]).iloc[-1]
     return {
-        name: (float(last[value].iloc[0]), float(last[sigma].iloc[0]), "m")
-        for name, value, sigma in zip(names, LEVER_ARM, SIGMA[6:])
-        if len(last)
+        name: row(float(last[hat]), float(last[sigma]), unit)
+        for name, (hat, sigma, unit) in _CONSTANTS.items()
+        if hat in samples and np.isfinite(last[hat])
     }
-
-
-def _numbers(values):
-    """Numbers as YAML of any version reads them: with a point, and without an exponent."""
-    shown = (np.format_float_positional(v, 3, fractional=False, trim="0") for v in values)
-    return ", ".join(shown)
 
 
 def as_yaml(terms, width_m, noise, rate_hz):
-    """The parameters as YAML for diff_drive_controller and robot_localization.
+    """The parameters as a file of ROS 2 for diff_drive_controller and robot_localization.
+
+    ROS takes a number without a point for an integer, and refuses a file with anything but nodes:
+    what belongs to no node stands in comments.
 
     Args:
         terms: What `table` returns.
@@ -183,59 +185,49 @@ def as_yaml(terms, width_m, noise, rate_hz):
         noise: The Noise of the odometry.
         rate_hz: Rate of the encoders' messages [Hz].
     """
-
-    def line(indent, key, name):
-        found = terms.loc[name]
-        value = f"{found['value']:.5g}  # 95 %: {found['low']:.4g} to {found['high']:.4g}"
-        return f"{' ' * indent}{key}: {value}"
-
-    radius = "wheel_radius_multiplier (μ)"
+    comments = ["# Found by rhec in one log, on one ground, with 95 % intervals:"]
+    comments += [
+        f"# {name}: {value:.4g} {unit} ({low:.4g} to {high:.4g})"
+        for name, value, low, high, unit in terms.itertuples()
+    ]
+    of_nodes = ["wheel_radius_multiplier (μ)", "wheel_separation_multiplier with it (μ/κ)"]
+    if not np.isfinite(terms.loc[of_nodes, "value"].astype(float)).all():
+        return "\n".join([*comments, "# The log is too short for the parameters of a node.", ""])
+    radius, separation = (_numbers([value]) for value in terms.loc[of_nodes, "value"])
     ahead, left, turning = (rate_hz * drift for drift in noise.drift)
     twist = _numbers((ahead, left, _NONE, _NONE, _NONE, turning))
     process = np.array(_PROCESS)
     process[[0, 1, 5]] = _NONE  # x, y, yaw
     process[[6, 7, 11]] = noise.changes  # vx, vy, vyaw
-    lines = [
-        "# Found by rhec in one log, on one ground. The two multipliers belong together:",
-        "# with a wheel_radius_multiplier of 1 the wheel_separation_multiplier is",
-        line(0, "# 1/κ", "wheel_separation_multiplier (1/κ)"),
-        "diff_drive_controller:",
-        "  ros__parameters:",
-        f"    wheel_separation: {width_m:.5g}",
-        line(4, "wheel_separation_multiplier", "wheel_separation_multiplier with it (μ/κ)"),
-        line(4, "left_wheel_radius_multiplier", radius),
-        line(4, "right_wheel_radius_multiplier", radius),
-        f"    # By what slips, of messages at {rate_hz:.3g} Hz, and in proportion to this rate:",
-        f"    twist_covariance_diagonal: [{twist}]",
-        "",
-        "ekf_filter_node:  # of robot_localization, with vx, vy and vyaw of that odometry",
-        "  ros__parameters:",
-        "    two_d_mode: true",
-        "    # Per second, of x y z roll pitch yaw vx vy vz vroll vpitch vyaw ax ay az.",
-        "    # By the log: vx, vy and vyaw, by which alone x, y and yaw move. The others are",
-        "    # robot_localization's own.",
-        "    process_noise_covariance: [",
-        *(f"      {_numbers(entries)}," for entries in np.diag(process)),
-        "    ]",
-    ]
-    if "antenna ahead" in terms.index:
-        lines += [
+    return "\n".join(
+        [
+            *comments,
+            "diff_drive_controller:",
+            "  ros__parameters:",
+            f"    wheel_separation: {_numbers([width_m])}",
+            "    # The multipliers belong together: with radius multipliers of 1 that of the",
+            "    # separation is 1/κ.",
+            f"    wheel_separation_multiplier: {separation}",
+            f"    left_wheel_radius_multiplier: {radius}",
+            f"    right_wheel_radius_multiplier: {radius}",
+            f"    # By slip, of messages at {rate_hz:.3g} Hz, and in proportion to this rate:",
+            f"    twist_covariance_diagonal: [{twist}]",
             "",
-            "base_link_to_gnss:  # static_transform_publisher, from the centre of turning",
-            line(2, "x", "antenna ahead"),
-            line(2, "y", "antenna left"),
-        ]
-    if "GNSS noise" in terms.index:
-        lines += [
+            "ekf_filter_node:  # of robot_localization, with vx, vy and vyaw of that odometry",
+            "  ros__parameters:",
+            "    two_d_mode: true",
+            "    # Per second, of x y z roll pitch yaw vx vy vz vroll vpitch vyaw ax ay az.",
+            "    # By the log: vx, vy and vyaw, by which alone x, y and yaw move. The others are",
+            "    # robot_localization's own.",
+            "    process_noise_covariance: [",
+            *(f"      {_numbers(entries)}," for entries in np.diag(process)),
+            "    ]",
             "",
-            "gnss:  # its messages have the square of this as position_covariance",
-            line(2, "position_sigma_m", "GNSS noise"),
-            line(2, "delay_s", "delay of the positions"),
         ]
-    if "gyro bias" in terms.index:
-        lines += [
-            "imu:",
-            line(2, "gyro_bias_radps", "gyro bias"),
-            line(2, "gyro_scale", "gyro scale"),
-        ]
-    return "\n".join(lines) + "\n"
+    )
+
+
+def _numbers(values):
+    """Numbers as YAML of any version reads them: with a point, and without an exponent."""
+    shown = (np.format_float_positional(v, 5, fractional=False, trim="0") for v in values)
+    return ", ".join(shown)

@@ -133,15 +133,14 @@ def _yaw_rate(n_sensors, yaw_rate_interval, has_yaw_drift):
     if has_yaw_drift:
         from rhec.tracked_robot import yaw_disturbance
 
-        yield Block(yaw_disturbance.build_from_drift, reads=dict(yaw_drift="yaw_drift_hat"))
-        yield Block(yaw_disturbance.counted_in)
+        yield Block(yaw_disturbance.counted_in, reads=dict(yaw_drift="yaw_drift_hat"))
 
 
 @_blocks
 def _references(horizon, n_segments, input_reference):
     """The references ξ_r, ω_r on the path."""
     arguments = paper.DT_S, horizon, n_segments, input_reference
-    yield Block(references_on_path, arguments, remembers=("s",))
+    yield Block(build_references, arguments, remembers=("s",))
 
 
 @_blocks
@@ -240,11 +239,6 @@ def waiting_yaw_rate():
         return dict(omega_measured=ca.if_else(is_valid, newest_omega, command))
 
     return newest
-
-
-def references_on_path(dt_s, horizon, n_segments, input_reference):
-    """The references ξ_r, ω_r on the path, eq. (17)-(18), as a Function."""
-    return build_references(dt_s, horizon, n_segments, input_reference)["references"]
 
 
 def own_step(controller):

@@ -93,11 +93,6 @@ def set_up(scenario):
     return Setup((loop, tuple(settings)), memory, layout, settings, path, soil, guess)
 
 
-def columns_of(scenario):
-    """The columns that a run's loop yields, in order."""
-    return [*COLUMNS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
-
-
 def _signed_speed(scenario):
     return (-1.0 if scenario.backwards else 1.0) * scenario.speed_mps
 
@@ -121,6 +116,8 @@ def _start_pose(scenario, path):
 def _first_values(scenario, path, guess):
     """What blocks may remember, before the first sample, by name; that of the RHC is a dict."""
     pose = _start_pose(scenario, path)
+    own = own_controller(scenario)
+    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
     return (
         robot.init(pose, _signed_speed(scenario))
         | faults.init(len(scenario.sensors))
@@ -130,17 +127,9 @@ def _first_values(scenario, path, guess):
             newest_omega=0.0,
             s=path.project(pose[None, :2])[1],
             command=0.0,
-            controller=_first_plan(scenario, guess),
+            controller=np.array(own.memory) if own else rhc.init(horizon, guess[:3], guess[3:]),
         )
     )
-
-
-def _first_plan(scenario, guess):
-    """The memory of the controller before the first sample; that of the RHC is a dict."""
-    own = own_controller(scenario)
-    if own:
-        return np.array(own.memory)
-    return rhc.init(paper_rhc.horizon_of(scenario.prediction_horizon), guess[:3], guess[3:])
 
 
 def _pack(memory):
@@ -176,19 +165,18 @@ def noise_and_faults(seed, scheduled, samples, draws=("noise",)):
 
     `draws` are names of the signals in a row, in order.
     """
-    drawn = [_drawn(name, seed, scheduled, samples, draws) for name in draws]
-    return np.hstack(drawn)
+    parts = []
+    for name in draws:
+        if name == "noise":
+            parts.append(robot.draw_noise(seed, samples))
+        elif name in robot_options.STREAMS:
+            parts.append(robot.standard_normal(seed, robot_options.STREAMS[name], samples, 1))
+        else:
+            from rhec.simulation import fault_signals
 
-
-def _drawn(name, seed, scheduled, samples, draws):
-    if name == "noise":
-        return robot.draw_noise(seed, samples)
-    if name in robot_options.NOISE:
-        return robot_options.draw_noise(name, seed, samples)
-    from rhec.simulation import fault_signals
-
-    sensors = tuple(sensor for sensor in SENSORS if f"{sensor}_noise" in draws)
-    return fault_signals.stream(scheduled, samples, paper.DT_S, seed, sensors)
+            sensors = tuple(sensor for sensor in SENSORS if f"{sensor}_noise" in draws)
+            parts.append(fault_signals.stream(scheduled, samples, paper.DT_S, seed, sensors))
+    return np.hstack(parts)
 
 
 def simulate_setup(scenario, setup):
@@ -197,63 +185,21 @@ def simulate_setup(scenario, setup):
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples, setup.draws)
     rows = runner.run_one(functions, setup.memory, stream, setup.settings)
-    return finish_all([scenario], [setup], [rows])[0]
+    return finished(scenario, setup, rows)
 
 
-def finish_all(scenarios, setups, logs):
-    """The Runs of these scenarios, from the rows that their loops yielded.
-
-    Runs on one path are projected on it at once, because NumPy spends most of its time in
-    the calls where arrays are short. Each Run has the bits that it has alone.
-
-    Args:
-        scenarios: The Scenarios.
-        setups: Their Setups.
-        logs: Their rows (n, columns), of any lengths.
-
-    Returns:
-        A list of Runs, in their order.
-    """
-    columns = [_columns_of(scenario, rows) for scenario, rows in zip(scenarios, logs)]
-    on_path = {}
-    for place, setup in enumerate(setups):
-        on_path.setdefault(id(setup.path), []).append(place)
-    poses = {}
-    for places in on_path.values():
-        poses |= zip(places, _add_errors(setups[places[0]].path, [columns[k] for k in places]))
-    return [
-        Run(scenario, metrics(columns[k], poses[k]), setup.path, setup.terrain, columns[k])
-        for k, (scenario, setup) in enumerate(zip(scenarios, setups))
-    ]
-
-
-def _columns_of(scenario, rows):
-    """The columns by name of a log's rows (n, columns), without those that need the path."""
+def finished(scenario, setup, rows):
+    """The Run of a scenario, from the rows (n, columns) that its loop yielded."""
+    path = setup.path
+    names = [*COLUMNS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
-    columns |= dict(zip(columns_of(scenario), np.ascontiguousarray(rows.T)))
-    return columns | {name: columns[name] == 1 for name in FLAGS}
-
-
-def _add_errors(path, runs):
-    """Add to the columns of runs their distances to the path, and where it is straight.
-
-    Returns:
-        The poses of the path (n, 3) at the points closest to each robot.
-    """
-    lengths = [len(columns["t_s"]) for columns in runs]
-    measured, true = (
-        np.column_stack([np.concatenate([columns[name] for columns in runs]) for name in names])
-        for names in (("x_meas_m", "y_meas_m"), ("x_m", "y_m"))
-    )
+    columns |= dict(zip(names, np.ascontiguousarray(rows.T)))
+    columns |= {name: columns[name] == 1 for name in FLAGS}
+    measured = np.column_stack([columns["x_meas_m"], columns["y_meas_m"]])
     # A position of which one coordinate is missing or infinite is none.
     measured[~np.isfinite(measured).all(axis=1)] = np.nan
-    distance, s = path.project(np.concatenate([measured, true]))
-    poses, curvatures = path.poses(s[len(true) :])
-    errors, true_errors = np.split(distance, 2)
-    ends = np.cumsum(lengths)[:-1]
-    parts = (np.split(values, ends) for values in (errors, true_errors, curvatures == 0, poses))
-    found = []
-    for columns, error, true_error, on_straight, pose in zip(runs, *parts):
-        columns |= dict(error_m=error, error_true_m=true_error, on_straight=on_straight)
-        found.append(pose)
-    return found
+    error, _ = path.project(measured)
+    true_error, s = path.project(np.column_stack([columns["x_m"], columns["y_m"]]))
+    poses, curvatures = path.poses(s)
+    columns |= dict(error_m=error, error_true_m=true_error, on_straight=curvatures == 0)
+    return Run(scenario, metrics(columns, poses), path, setup.terrain, columns)

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from rhec.core._casadi.validation import NotNegative, Positive, Real
-from rhec.simulation.validated import validated
+from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
 
 DELAY_MAX_S = 1.0
 PAST = 5  # earlier measurements that the closed loop stores

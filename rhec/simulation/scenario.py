@@ -15,7 +15,6 @@ from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.controller import Controller, check_fits
 from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
-from rhec.simulation.validated import validated
 from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@validated
+@valid.validated
 class Scenario:
     # The estimator
 

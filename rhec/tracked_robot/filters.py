@@ -16,8 +16,7 @@ Brennan and Reichard, 2014):
 the controller corrects its command (`rhec.tracked_robot.yaw_disturbance`).
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -28,7 +27,7 @@ from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model.base import Model, interval
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, f_with_drift, h
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, f_with_drift
 from rhec.tracked_robot.rhe import SIGMA_START
 
 _NOTHING = ca.SX(0, 1)
@@ -70,54 +69,22 @@ def _pose_and_speed(f, passed, discrete=False):
 
 
 _ROBOT = SPEED_MODELS["parameter"].model
-_DRIFTING_ROBOT = Model(
-    states=_ROBOT.states,
-    inputs=_ROBOT.inputs,
-    parameters=_ROBOT.parameters | {_YAW_DRIFT: None},
-    outputs=_ROBOT.outputs,
-    f=f_with_drift,
-    h=h,
-    max_measurement=_ROBOT.limits,
-)
+_DRIFTING_ROBOT = replace(_ROBOT, parameters=_ROBOT.parameters | {_YAW_DRIFT: None}, f=f_with_drift)
 _PAPERS = _pose_and_speed(_euler, _TRACTION, discrete=True)
 # These show what knowing the traction is worth, so they are otherwise the better model.
 _KNOWN_TRACTION = _pose_and_speed(_with_constant_speed(f), _TRACTION)
 _KNOWN_DRIFT = _pose_and_speed(_with_constant_speed(f_with_drift), (*_TRACTION, _YAW_DRIFT))
 
 
-class _Row(NamedTuple):
-    """A Kalman filter of the robot; `tuning` has its noise."""
-
-    model: Model
-    passed: TractionInput = TractionInput.NONE  # (1, 1) for a filter that takes a traction
-    bounds: Mapping[int, tuple[float, float]] = {}  # as for a Filter
-
-    @property
-    def has_yaw_drift(self):
-        """Whether the filter knows one, estimated or passed."""
-        return _YAW_DRIFT in self.model.names
-
-
-FILTERS = {
-    "ekf": _Row(_PAPERS),
-    "augmented_ekf": _Row(_ROBOT),
-    "bounded_ekf": _Row(_ROBOT, bounds=_ROBOT.bounds),
-    "yaw_drift_ekf": _Row(_DRIFTING_ROBOT, bounds=_DRIFTING_ROBOT.bounds),
-    "fixed_traction": _Row(_KNOWN_TRACTION, TractionInput.FIELD_MEAN),
-    "traction_oracle": _Row(_KNOWN_TRACTION, TractionInput.TRUE),
-    "drift_oracle": _Row(_KNOWN_DRIFT, TractionInput.TRUE_WITH_DRIFT),
-}
-
-
-def _build_step(name, row):
+def _build_step(name, model, bounds):
     """A filter as a Function (memory, z_N, V, W) -> (memory, estimate, …).
 
     A filter that is passed the traction has it as one more input: the `traction` of the sample, on
     which the robot drives from there on. It ends the estimate.
     """
-    kalman = Filter(interval(row.model), paper.DT_S, bounds=row.bounds)
-    shapes = dict(z_N=(4, 1), V=(4, 1), W=(row.model.n_s, 1))
-    n_passed = len(row.model.inputs) - 1
+    kalman = Filter(interval(model), paper.DT_S, bounds=bounds)
+    shapes = dict(z_N=(4, 1), V=(4, 1), W=(model.n_s, 1))
+    n_passed = len(model.inputs) - 1
     if n_passed:
         shapes["traction"] = (n_passed, 1)
 
@@ -128,7 +95,7 @@ def _build_step(name, row):
         after = kalman.sample(z_N, noise, **memory)
         known = ca.vertcat(after.m, traction)
         results = dict(estimate=known[:6], covariance=after.P, deviance=after.deviance)
-        if row.has_yaw_drift:
+        if _YAW_DRIFT in model.names:  # estimated or passed
             results["yaw_drift"] = known[6]
         # The interval that begins at this sample is on the soil of this sample.
         return results | after.memory | dict(v=ca.vertcat(after.v[0], traction))
@@ -149,16 +116,34 @@ def _init(model, guess, sigma):
     )
 
 
-def _estimator(name, row):
+def _filter(name, model, passed=TractionInput.NONE, bounds=None):
+    """The EstimatorRecord of a filter; `tuning` has its noise.
+
+    Args:
+        name: Of the filter.
+        model: What it knows of the robot.
+        passed: What it is passed of the soil; (1, 1) for one that takes a traction.
+        bounds: Of its states, as for a Filter; None: those of the model.
+    """
     return EstimatorRecord(
-        build_step=lambda choice: _build_step(name, row),
-        init=lambda choice, guess, sigma=_SIGMA_START: _init(row.model, guess, sigma),
+        build_step=lambda choice: _build_step(
+            name, model, model.bounds if bounds is None else bounds
+        ),
+        init=lambda choice, guess, sigma=_SIGMA_START: _init(model, guess, sigma),
         settings=lambda scenario: tuning.variances_of(name, scenario),
-        states=lambda choice: row.model.joint_names,
-        n_sigma_w=lambda choice: row.model.n_s,
-        traction_input=row.passed,
-        has_yaw_drift=row.has_yaw_drift,
+        states=lambda choice: model.joint_names,
+        n_sigma_w=lambda choice: model.n_s,
+        traction_input=passed,
+        has_yaw_drift=_YAW_DRIFT in model.names,
     )
 
 
-ESTIMATORS = {name: _estimator(name, row) for name, row in FILTERS.items()}
+ESTIMATORS = {
+    "ekf": _filter("ekf", _PAPERS),
+    "augmented_ekf": _filter("augmented_ekf", _ROBOT, bounds={}),
+    "bounded_ekf": _filter("bounded_ekf", _ROBOT),
+    "yaw_drift_ekf": _filter("yaw_drift_ekf", _DRIFTING_ROBOT),
+    "fixed_traction": _filter("fixed_traction", _KNOWN_TRACTION, TractionInput.FIELD_MEAN),
+    "traction_oracle": _filter("traction_oracle", _KNOWN_TRACTION, TractionInput.TRUE),
+    "drift_oracle": _filter("drift_oracle", _KNOWN_DRIFT, TractionInput.TRUE_WITH_DRIFT),
+}

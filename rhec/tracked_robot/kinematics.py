@@ -64,8 +64,12 @@ class SpeedModel(NamedTuple):
     """How a robot's speed enters its model, and the process noise that goes with it."""
 
     model: Model
-    n_sigma_w: int  # number of entries at the joint state's end that have process noise
     sigma_w: tuple | None = None  # its default, where `tuning.SIGMA_W` has none
+
+    @property
+    def n_sigma_w(self):
+        """Number of entries at the joint state's end that have process noise."""
+        return len(self.sigma_w or self.model.joint_names)
 
 
 _PARAMETER = Model(
@@ -87,4 +91,4 @@ _INPUT = Model(
 )
 # ν is one parameter of the window, as in the paper, or a measured input of each interval
 # (interpretation R13).
-SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER, 6), "input": SpeedModel(_INPUT, 5)}
+SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER), "input": SpeedModel(_INPUT)}

@@ -2,10 +2,9 @@
 
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
-from rhec.core._casadi.validation import NotNegative, Positive, Real, shown
+from rhec.core._casadi.validation import NotNegative, Positive, Real
 
 ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking", "soft_soil"]
 SpeedModel = Literal["parameter", "input", "slipping"]
@@ -19,11 +18,3 @@ Sensors = tuple[Literal["gyro", "heading"], ...]
 SigmaGyro = tuple[Positive, NotNegative]
 Weights = tuple[NotNegative, NotNegative, NotNegative]
 Traction = Annotated[Real, Field(gt=0, le=1)]
-
-
-def numbers(name, value):
-    """Return the value as an array of numbers, or say in one sentence why it is none."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} was {shown(value)}; it must be made of numbers") from None

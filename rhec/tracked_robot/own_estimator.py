@@ -68,7 +68,7 @@ class Estimator(OwnStep):
         n, _ = results_of(self.step).get("covariance", (0, 0))
         has_truth = "truth" in inputs_of(self.step)
         return choice.EstimatorRecord(
-            build_step=lambda choice: choice.estimator.step,
+            build_step=lambda choice: self.step,
             init=self._init,
             settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario))),
             states=lambda choice: tuple(f"state {k}" for k in range(n)),

@@ -11,8 +11,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.validation import Flag, Positive, Real, checked, shown
-from rhec.tracked_robot.options import numbers
+from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory

@@ -196,7 +196,7 @@ def _build_both_tracks():
     return both
 
 
-def pair_with_next_interval(n_z=4):
+def pair_with_next_interval(n_z):
     """Interpretation R16 as a Function (z, newest_omega) -> (z, newest_omega).
 
     An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of

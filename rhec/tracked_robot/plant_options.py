@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.tracked_robot.plant import MEMORY, gauss_markov, standard_normal
+from rhec.tracked_robot.plant import MEMORY, gauss_markov
 
 _ONE = (1, 1)
 # Settings, by the names of Scenario's parameters.
@@ -19,13 +19,9 @@ SETTINGS = (
     "side_slip_rad",
     "side_slip_time_s",
 )
-# Random streams of a seed by the names of the signals; others belong to the plant and the faults.
-NOISE = dict(gyro_noise=5, heading_noise=6, side_slip_noise=7)
-
-
-def draw_noise(name, seed, samples):
-    """The standard normal noise of one of NOISE and of a seed, (samples, 1)."""
-    return standard_normal(seed, NOISE[name], samples, 1)
+# The random streams of a seed for their noise, (samples, 1), by the names of the signals; others
+# belong to the plant and the faults.
+STREAMS = dict(gyro_noise=5, heading_noise=6, side_slip_noise=7)
 
 
 def gyro(dt_s):

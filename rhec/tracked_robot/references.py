@@ -51,7 +51,7 @@ def _closest(xy, s, segments, period_m, iterations=2):
 
 
 def build_references(dt_s, horizon, n_segments, input_reference="measured"):
-    """{"references": Function} of the last arc length and the estimate.
+    """References as a Function of the last arc length and the estimate.
 
     The desired points begin `look_ahead_m` beyond the closest one. They lie one sample of the
     robot's estimated speed over ground, |μ̂ν̂| Δt, apart, so that the path leads and not a clock,
@@ -91,7 +91,12 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
             omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / turning
         return dict(s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
 
-    return dict(references=references)
+    return references
+
+
+def _build_compiled(*arguments):
+    """{"references": those of `build_references`}, as `compiled.load` takes it."""
+    return dict(references=build_references(*arguments))
 
 
 def nearest_turn(angle, near):
@@ -142,7 +147,7 @@ class PathTracker:
         self._names = () if missing else (*position, heading)
         self._speed_mps = speed
         follows = "curvature" if self._names else "measured"
-        functions = compiled.load(build_references, dt, horizon, len(path.segments), follows)
+        functions = compiled.load(_build_compiled, dt, horizon, len(path.segments), follows)
         self._call = compiled.BufferedFunction(functions["references"])
         segments = path.segments.T
         self._call.set(segments=segments, period_m=path.period_m, look_ahead_m=look_ahead_m)

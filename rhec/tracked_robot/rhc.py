@@ -9,9 +9,9 @@ from rhec.core.controller.horizon import Horizon
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
-def horizon_of(N, dt_s=paper.DT_S):
-    """The Horizon of the paper's problem, N intervals of dt_s [s]: the yaw rate ω is commanded."""
-    return Horizon(SPEED_MODELS["parameter"].model, (0,), dt_s, N)
+def horizon_of(N):
+    """The Horizon of the paper's problem, N intervals: the yaw rate ω is commanded."""
+    return Horizon(SPEED_MODELS["parameter"].model, (0,), paper.DT_S, N)
 
 
 def build_step(N, traction_timing="feedback"):

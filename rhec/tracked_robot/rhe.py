@@ -116,12 +116,13 @@ def _sigma_w(scenario, speed_model, dt_s):
     `sigma_w` of a scenario covers what the model without sensors estimates. The bias of a gyro
     wanders besides. Where the model has motion noise, its constants say how much.
     """
-    plain = speed_model_of(scenario.speed_model).model
+    plain = speed_model_of(scenario.speed_model)
+    names = plain.model.joint_names
     sigma_w = scenario.sigma_w
     if sigma_w is None:
         tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
-        sigma_w = speed_model.sigma_w or [tuned[name] for name in plain.joint_names]
-    sigma = dict(zip(plain.joint_names[-speed_model.n_sigma_w :], sigma_w))
+        sigma_w = plain.sigma_w or [tuned[name] for name in names]
+    sigma = dict(zip(names[-plain.n_sigma_w :], sigma_w))
     if not speed_model.model.motion_noise:
         sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
     return [sigma.get(name, 0.0) for name in speed_model.model.joint_names]

@@ -22,8 +22,8 @@ import numpy as np
 from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
-from rhec.core._casadi.validation import NotNegative, Positive, Real, Whole, checked, shown
-from rhec.tracked_robot.options import Traction, numbers
+from rhec.core._casadi.validation import NotNegative, Positive, Real, Whole, checked, numbers, shown
+from rhec.tracked_robot.options import Traction
 
 # In a checkout data/ stands beside the package, in a wheel inside it.
 _ROOTS = File(__file__).parents[1:3]

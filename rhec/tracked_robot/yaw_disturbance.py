@@ -19,29 +19,16 @@ _ONE = (1, 1)
 _MOST = 0.5  # share of the bound ω_max that a disturbance may take: the rest is left for steering
 
 
-def _bounded(d, upper):
-    """The disturbance d within its share of the bound; 0 where it is not finite."""
-    return ca.if_else(ca.fabs(d) < np.inf, ca.fmax(ca.fmin(d, _MOST * upper), -_MOST * upper), 0)
+def counted_in():
+    """d and ω + d of a measured ω, as a Function (estimate, yaw_drift, upper, omega_measured)."""
 
-
-def build_from_drift():
-    """d = μ̂ν̂δ̂ / κ̂ as a Function (estimate, yaw_drift, upper) -> disturbance [rad/s]."""
-
-    @casadi_function("disturbance_from_drift", estimate=(6, 1), yaw_drift=_ONE, upper=_ONE)
-    def disturbance(estimate, yaw_drift, upper):
+    @casadi_function("counted_in", estimate=(6, 1), yaw_drift=_ONE, upper=_ONE, omega_measured=_ONE)
+    def counted_in(estimate, yaw_drift, upper, omega_measured):
         _, _, _, nu, mu, kappa = ca.vertsplit(estimate)
         d = mu * nu * yaw_drift / ca.fmax(kappa, LEAST_KAPPA)
-        return dict(disturbance=_bounded(d, upper))
-
-    return disturbance
-
-
-def counted_in():
-    """ω + d of a measured ω, as a Function (omega_measured, disturbance) -> omega_measured."""
-
-    @casadi_function("counted_in", omega_measured=_ONE, disturbance=_ONE)
-    def counted_in(omega_measured, disturbance):
-        return dict(omega_measured=omega_measured + disturbance)
+        within = ca.fmax(ca.fmin(d, _MOST * upper), -_MOST * upper)
+        d = ca.if_else(ca.fabs(d) < np.inf, within, 0)
+        return dict(disturbance=d, omega_measured=omega_measured + d)
 
     return counted_in
 

@@ -17,6 +17,7 @@ from oracles import flat, mhe_instance, mpc_instance
 from robots import DT, ROBOTS, VARIANTS
 
 import rhec
+from notebooks.claims.live_robot import LiveRobot
 from notebooks.further.c_code import toolchain
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -27,7 +28,6 @@ from rhec.core.estimator.base import joint_guess
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
-from rhec.simulation.live_robot import LiveRobot
 
 TOLERANCE = 1e-9
 ANSWERS = [*ESTIMATE, *COMMAND]

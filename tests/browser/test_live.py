@@ -150,7 +150,7 @@ def same_run_in_python(run):
     settings = setup.settings | dict(slip=run["slip"], origin_m=np.array(run["origin_m"]))
     functions = compiled.load(closed_loop.build_sample, *setup.structure)
     rows = runner.run_one(functions, setup.memory, run["noise"], settings)
-    return closed_loop.finish_all([scenario], [setup], [rows])[0]
+    return closed_loop.finished(scenario, setup, rows)
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ PAGES = sorted(
 )
 SOME = ("index.html", "figures.html", "claims.html", "provenance.html", "docs/your_log.html")
 SOME += ("notebooks/03_scenario_a.html", "docs/reference/rhec.Scenario.html")
+SOME += ("live.html",) if (REPORT / "live.html").exists() else ()
 AXE = ROOT / "build/axe/node_modules/axe-core/axe.min.js"  # npm install --prefix build/axe axe-core
 
 

@@ -16,7 +16,7 @@ SIZES = [(6, 3, 2, 3, 1), (8, 4, 1, 4, 0), (6, 2, 2, 3, 3)]
 @functools.cache
 def solver(N, n, m, rows, soft):
     D, B, G = (ca.Sparsity.dense(*shape) for shape in ((n, n), (n, m), (rows, n + m)))
-    return interior_point(Shape(N, ca.DM(n, n), D, B, G, soft), ca.SX)
+    return interior_point(Shape(N, ca.DM(n, n), D, B, G, soft))
 
 
 def random_qp(rng, N, n, m, rows, soft):

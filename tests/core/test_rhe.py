@@ -38,9 +38,9 @@ def first_memory(guess, sigma, speed_model="parameter"):
 
 def window_memory(*window):
     """As of `oracles`, before the first position, which is never rejected."""
-    return oracles.window_memory(*window) | paper_rhe.JUDGE.first(
-        paper_rhe.window_of(choice_of("rhe", N))
-    )
+    of_judge = paper_rhe.JUDGE.memory(paper_rhe.window_of(choice_of("rhe", N)))
+    nothing = {name: np.zeros(shape) for name, shape in of_judge.items()}
+    return oracles.window_memory(*window) | nothing
 
 
 def feed(rhe, z, **iterations):

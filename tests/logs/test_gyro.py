@@ -6,8 +6,6 @@ import pytest
 from helpers import TRACK_WIDTH_M, may_be_unsure, recorded_log
 
 import rhec
-from rhec.logs import recording
-from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot.gyro_check import are_accepted
 
@@ -135,26 +133,6 @@ def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
     assert result["theta_hat_rad"].diff().abs().max() < 0.5
 
 
-def test_gyro_and_heading_together(without):
-    both = with_heading(log=with_gyro(bias=0.03))
-    assert yaw_rms(both) < yaw_rms(with_gyro(bias=0.03))
-
-
-def test_the_live_estimator_agrees():
-    prepared = recording.prepare(with_heading(log=with_gyro()))
-    fields = dict(speed_model="slipping", arrival_mean="filtered")
-    sensors = dict(sensors=prepared.sensors, sigma_gyro=(0.01, 0.02), sigma_heading=0.02)
-    scenario = replay_scenario("rhe", prepared, fields | sensors)
-    samples = estimate_samples(prepared, scenario, InitialGuess((0.7,), 10.0))
-    z = samples[measured_of(prepared.sensors)].to_numpy()
-    live = rhec.RHE(**fields, **sensors, guess=(*z[0, :2], 0.7, z[0, 2], 1.0, 1.0))
-    for k in range(100):
-        live.prepare()
-        estimate = live.feedback(z[k])
-    np.testing.assert_allclose(estimate[2], samples["theta_hat_rad"].iloc[99], atol=5e-3)
-    assert estimate.covariance.shape == (12, 12)
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
@@ -176,4 +154,13 @@ def test_calibration_finds_the_noise_of_a_gyro():
     told = found.report.loc["noise of the gyro"]
     # At 5 Hz a sample's mean is that of two readings.
     assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+    # All are as many times as large, so that the gains are those of the likeliest noise.
+    ratios = [
+        found["sigma_gyro"][0] / told["value"],
+        found["sigma_v"][2] / found.report.loc["noise of ν", "value"],
+        found["sigma_w"][1] / found.report.loc["walk of κ", "value"],
+        found["slip"][1] / found.report.loc["slip in turning, share of ω", "value"],
+    ]
+    assert ratios == pytest.approx([1.75] * 4)
+    assert found["slip"][-1] == found.report.loc["side slip", "value"]
     assert rhec.replay(with_gyro(), **START, **found)["theta_hat_rad"].notna().all()

@@ -46,6 +46,7 @@ def test_only_the_rhe_is_right_about_an_antenna_off_the_centre():
 
 def test_a_good_log_is_to_be_trusted_and_says_what_is_next(summary):
     assert summary.verdict.startswith("Trust it.") and "rhec calibrate" in summary.verdict
+    assert "position_sigma_m: at most 0.03, the least that is assumed" in str(summary)
     assert summary.taken["positions"] == "x_m, y_m"
     assert summary.taken["encoders"] == "speed_mps, yaw_rate_radps"
     assert "x_true_m" in summary.taken["truth, unseen"]
@@ -138,19 +139,65 @@ def test_the_bag_of_a_husky_takes_one_command(tmp_path, capsys):
 
 # For ROS
 
+# Types of the parameters, and lengths of the arrays, by diff_drive_controller_parameter.yaml of
+# ros-controls/ros2_controllers (commit 0193629) and params/ekf.yaml of
+# cra-ros-pkg/robot_localization (commit 0439976).
+OF_ROS = dict(
+    diff_drive_controller=dict(
+        wheel_separation=float,
+        wheel_separation_multiplier=float,
+        left_wheel_radius_multiplier=float,
+        right_wheel_radius_multiplier=float,
+        twist_covariance_diagonal=6,
+    ),
+    ekf_filter_node=dict(two_d_mode=bool, process_noise_covariance=15 * 15),
+)
+
+
+def read_as_ros(text):
+    """{node: parameters}, as rcl_yaml_param_parser and rclcpp read them.
+
+    Each key is a node with nothing but ros__parameters, a number without a point is an integer,
+    which no double parameter takes, and an array has one type.
+    """
+    nodes = {}
+    for node, content in yaml.safe_load(text).items():
+        assert list(content) == ["ros__parameters"]
+        nodes[node] = content["ros__parameters"]
+        for name, value in nodes[node].items():
+            kind = OF_ROS[node][name]
+            if isinstance(kind, int):
+                assert len(value) == kind and {*map(type, value)} == {float}
+            else:
+                assert type(value) is kind
+    return nodes
+
 
 def test_its_yaml_is_what_ros_reads(summary):
-    """A number with an exponent and without a point would be a word to the reader of ROS 1."""
-    told = yaml.safe_load(summary.yaml)
-    driver = told["diff_drive_controller"]["ros__parameters"]
+    told = read_as_ros(summary.yaml)
+    assert {node: {*of_node} for node, of_node in told.items()} == {
+        node: {*of_node} for node, of_node in OF_ROS.items()
+    }
+    driver = told["diff_drive_controller"]
     assert driver["wheel_separation_multiplier"] == pytest.approx(MU / KAPPA, rel=0.05)
     assert driver["left_wheel_radius_multiplier"] == pytest.approx(MU, rel=0.05)
-    twist = driver["twist_covariance_diagonal"]
-    process = told["ekf_filter_node"]["ros__parameters"]["process_noise_covariance"]
-    assert len(twist) == 6 and len(process) == 15 * 15
-    assert all(isinstance(number, float) for number in (*twist, *process))
+    process = told["ekf_filter_node"]["process_noise_covariance"]
     matrix = np.reshape(process, (15, 15))
     assert (matrix == np.diag(np.diag(matrix))).all() and (np.diag(matrix) > 0).all()
+    for name in ("wheel_separation_multiplier (1/κ)", "antenna ahead"):
+        assert f"# {name}: " in summary.yaml
+
+
+def test_round_numbers_and_unknown_ones_are_what_ros_reads():
+    """A track 1 m wide, and a traction that is not known."""
+    noise = terms.Noise((0.0, 1.0, 2.0), (1e-9, 1.0, 10.0))
+    round_one = terms.Slope(1.0, 0.0)
+    table = terms.table(round_one, round_one, 1.0, {})
+    told = read_as_ros(terms.as_yaml(table, 1.0, noise, 10.0))
+    assert told["diff_drive_controller"]["wheel_separation"] == 1.0
+    unknown = terms.Slope(np.nan, np.nan)
+    text = terms.as_yaml(terms.table(unknown, unknown, 1.0, {}), 1.0, noise, 10.0)
+    assert yaml.safe_load(text) is None and "too short" in text
 
 
 def test_the_noise_of_an_odometry_is_that_of_its_slip():
@@ -204,6 +251,7 @@ def test_hidden_positions_show_how_far_off_an_estimate_is():
         return samples.join(place).assign(segment=0, sigma_x_m=3.0, sigma_y_m=3.0)
 
     hidden = hidden_errors(prepare(log), stays)
-    assert len(hidden.error_m) == 9  # all tens of seconds but the first
-    np.testing.assert_allclose(hidden.error_m, np.tile([2.0, 10.0], (9, 1)), atol=1e-6)
-    assert (hidden.is_covered == [1, 0]).all()
+    for after_s, is_covered in ((2.0, 1), (10.0, 0)):
+        # All tens of seconds but the first.
+        np.testing.assert_allclose(hidden.error_m[after_s], [after_s] * 9, atol=1e-6)
+        assert (hidden.is_covered[after_s] == is_covered).all()

@@ -12,9 +12,9 @@ from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
 from notebooks.studies import statistics
 from notebooks.studies.answer import RESULTS
+from notebooks.studies.parallel import map_runs
 from notebooks.studies.statistics import FAILS, HOLDS, UNDECIDED, UNTESTABLE, Finding
 from rhec import paper
-from rhec.simulation.campaigns.map import map_runs
 from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)

@@ -22,7 +22,7 @@ def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
     rng = np.random.default_rng(0)
     for xi, (nu, omega) in zip(rng.normal(size=(5, 3)), rng.normal(size=(5, 2))):
         expected = model.dynamics(xi, [nu, omega], [mu, kappa])
-        found = rivals.f(xi, [nu, b / 2 * omega], [y, -y, 0.0, mu, mu])
+        found = rivals.f(xi, [nu, omega, 0.0, 0.0, 0.0], [y, -y, 0.0, mu, mu, b / 2])
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -30,8 +30,9 @@ def test_the_robot_turns_about_its_centres():
     """Over ground, the point x_v ahead has no side slip, and the left track's centre runs with the
     left track.
     """
-    p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8], (0.7, 0.2)
-    ahead, side, turning = np.array(rivals.f([0.0, 0.0, 0.0], [nu, delta], p)).ravel()
+    p, (nu, delta) = [0.4, -0.3, 0.2, 0.9, 0.8, 0.25], (0.7, 0.2)
+    v = [nu, delta / 0.25, 0.0, 0.0, 0.0]
+    ahead, side, turning = np.array(rivals.f([0.0, 0.0, 0.0], v, p)).ravel()
     assert side + 0.2 * turning == pytest.approx(0)
     assert ahead - 0.4 * turning == pytest.approx(0.9 * (nu - delta))
     assert ahead + 0.3 * turning == pytest.approx(0.8 * (nu + delta))
@@ -50,6 +51,14 @@ def test_the_error_ahead_is_that_of_driving_on_with_the_estimate(wrong):
     )
     error = scores.ahead_rms_m(samples, predict, [*hats, "kappa_hat"])
     assert error == pytest.approx(2 * 2 * np.sin(wrong / 2), abs=1e-9)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.04, -0.04])
+def test_the_angle_of_a_reference_is_that_between_its_yaw_and_the_way(angle_rad):
+    """On a straight, forwards and backwards; side slip in turns does not count."""
+    log = recorded_log(5.0, 120.0)
+    turned = log.assign(yaw_true_rad=log["yaw_true_rad"] - angle_rad)
+    assert scores.mounting_angle_rad(turned) == pytest.approx(angle_rad, abs=2e-3)
 
 
 def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():

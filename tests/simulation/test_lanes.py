@@ -165,7 +165,7 @@ def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
 
 @pytest.mark.parametrize(
     ("place", "name"),
-    [(runner, "run"), (closed_loop, "finish_all"), (closed_loop, "noise_and_faults")],
+    [(runner, "run"), (closed_loop, "finished"), (closed_loop, "noise_and_faults")],
 )
 def test_an_error_of_ours_does_not_turn_into_slower_runs(always, monkeypatch, place, name):
     lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)

@@ -28,7 +28,7 @@ HORIZON = 15
 
 @functools.cache
 def references(n_segments, input_reference):
-    return refs.build_references(0.2, HORIZON, n_segments, input_reference)["references"]
+    return refs.build_references(0.2, HORIZON, n_segments, input_reference)
 
 
 def along(path, s, **given):

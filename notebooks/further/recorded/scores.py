@@ -10,8 +10,9 @@ from rhec import paper
 from rhec.logs.checks import refuse
 from rhec.logs.recording import delayed, prepare
 from rhec.logs.remarks import UNSURE_YAW_RAD
-from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
+from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
+from rhec.simulation.columns import MEASUREMENTS, SENSORS, TRUE_SPEEDS
+from rhec.simulation.fault_signals import corrupted
 
 # Distance driven in a segment from which scores count; before it the yaw has not yet converged.
 FROM_M = 8.0
@@ -22,6 +23,8 @@ _BAD_RAD = 0.5  # a larger error of the yaw is bad
 _GOOD_RAD = 0.2  # a smaller one is good
 _AHEAD_S = 2.0  # horizon of the predictions by the encoders
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
+_STRAIGHT_RAD = 0.05  # most that the robot turns in a straight second
+_STRAIGHT_M = 0.3  # least that it moves
 _LEAST_RMS = 0.1  # smallest RMS [m/s, rad/s] of the measurements in a window with a regression
 
 
@@ -55,6 +58,29 @@ def sliding_regression(samples):
 def yaw_error(samples):
     """Estimated minus true yaw [rad], between -π and π."""
     return (samples["theta_hat_rad"] - samples["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
+
+
+def mounting_angle_rad(log):
+    """By how much the true yaw of a log is off the direction in which its robot drives [rad].
+
+    It is the median angle from the true yaw to the true way in straight seconds, forwards and
+    backwards, and 0 without such seconds. A reference whose frame is mounted at an angle has it all
+    the time. No sensor of the robot tells it, and no estimator can: their yaw is the direction in
+    which the robot drives.
+
+    Args:
+        log: DataFrame of a recording with its truth.
+    """
+    n = round(1.0 / paper.DT_S)
+    angles = []
+    for samples in prepare(log).samples():
+        place = samples["x_m"].to_numpy() + 1j * samples["y_m"].to_numpy()
+        yaw = samples["theta_rad"].to_numpy()
+        way = (place[n:] - place[:-n]) * np.sign(samples["nu_meas_mps"].to_numpy()[n:])
+        is_straight = (np.abs(yaw[n:] - yaw[:-n]) < _STRAIGHT_RAD) & (np.abs(way) > _STRAIGHT_M)
+        angles.append(np.angle(way * np.exp(-0.5j * (yaw[n:] + yaw[:-n])))[is_straight])
+    angles = np.concatenate(angles)
+    return float(np.median(angles)) if len(angles) else 0.0
 
 
 def _position_error(samples):
@@ -220,7 +246,21 @@ def _perturbed(
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
     recording = recording._replace(rows=rows)
     scenario = replay_scenario(estimator, recording, fields)
-    return estimate_samples(recording, scenario, guess, faults, seed, smooth)
+    samples = recording.samples()
+    for part in samples:
+        _corrupt(part, faults, recording.track_width_m, scenario.sensors, seed)
+    return estimate_samples(recording, scenario, guess, smooth, samples)
+
+
+def _corrupt(part, faults, track_width_m, sensors, seed):
+    """Put faults into the samples of a segment, for a robot with these sensors."""
+    if faults:
+        measured = measured_of(sensors)
+        z = part[measured].to_numpy()
+        ordered = tuple(name for name in SENSORS if name in sensors)
+        z = corrupted(z, faults, part["t_s"], track_width_m, seed, ordered)
+        # Infinite measurements count as missing, as in a log.
+        part[measured] = np.where(np.isfinite(z), z, np.nan)
 
 
 def perturbed_scores(log, seeds, **arguments):

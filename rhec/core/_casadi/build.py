@@ -65,6 +65,37 @@ def short_cut(flag):
     return decorate
 
 
+def in_turn(name, shapes, state, has_ended):
+    """What stands in for a loop with an early exit, which CasADi has not.
+
+    Args:
+        name: Of the Functions, which a suffix follows.
+        shapes: {name: shape} of their inputs, of which the state is a part.
+        state: Names of what they return.
+        has_ended: (inputs, results of the first) -> 1 where the second has nothing to do.
+
+    Returns:
+        A function (suffix, first, second) -> Function that runs `first` and, only if that has not
+        ended, `second`. A loop is unrolled by doubling: each Function runs the one before it twice.
+    """
+
+    @casadi_function(f"{name}_ended", ca.MX, **shapes)
+    def ended(**inputs):
+        return {piece: inputs[piece] for piece in state}
+
+    def then(suffix, first, second):
+        @casadi_function(f"{name}_{suffix}", ca.MX, **shapes)
+        def both(**inputs):
+            after = first(**inputs)
+            unless_ended = ca.Function.if_else(f"{name}_{suffix}_or_not", ended, second)
+            result = unless_ended(has_ended(inputs, after), *(inputs | after).values())
+            return dict(zip(state, result))
+
+        return both
+
+    return then
+
+
 def with_packed_memory(name, memory, symbols=ca.MX, **shapes):
     """`casadi_function` whose `memory` (name: shape) is packed in one vector, its first input.
 

@@ -7,10 +7,11 @@ import functools
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
-from typing import Annotated, Any, ParamSpec, TypeVar, get_type_hints
+from typing import Annotated, Any, ParamSpec, TypeVar, dataclass_transform, get_type_hints
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
+from pydantic.dataclasses import dataclass
 
 # NumPy's numbers and arrays are accepted where Python's numbers and tuples are.
 _plain = BeforeValidator(lambda value: value.item() if isinstance(value, np.generic) else value)
@@ -32,7 +33,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
 
 
-def sentence_of(name, fields, error):
+def _sentence_of(name, fields, error):
     """One of a validation's errors: the parameter, its value, and what it may be."""
     unknown = "unexpected_keyword_argument"
     # A misspelt name first, because it explains why another parameter is missing.
@@ -93,15 +94,23 @@ def _expected(error):
     return f"it should be {_EXPECTED[error['type']].format(**words)}"
 
 
-def shown(value, length=200):
+def shown(value):
     """Return a value's repr in one line of a length that can be read."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= length else f"{text[:length]} …"
+    return text if len(text) <= 200 else f"{text[:200]} …"
 
 
 def refuse(what, value, expected):
     """Raise a ValueError of one sentence: what was given, its value, and what it may be."""
     raise ValueError(f"{what} {shown(value)}; {expected}")
+
+
+def numbers(name, value):
+    """The value as an array of numbers; a ValueError of one sentence if it is none."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
 
 
 def of_length(name, values, wanted, of):
@@ -114,7 +123,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
-def plain_signature(function, hints):
+def _plain_signature(function, hints):
     """The signature with plain types: `float` for an Annotated float with its limits."""
     full = signature(function)
     parameters = full.parameters.values()
@@ -136,8 +145,29 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
         try:
             return strict(*arguments, **named)
         except ValidationError as error:
-            raise ValueError(sentence_of(called, names, error)) from None
+            raise ValueError(_sentence_of(called, names, error)) from None
 
     call.__annotations__ = hints | {"return": returned}
-    call.__signature__ = plain_signature(function, hints)  # type: ignore[attr-defined]
+    call.__signature__ = _plain_signature(function, hints)  # type: ignore[attr-defined]
     return call
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def validated(cls: type[_T]) -> type[_T]:
+    """Make a frozen dataclass whose constructor checks every parameter strictly (a decorator)."""
+    cls = dataclass(
+        frozen=True, kw_only=True, config=ConfigDict(arbitrary_types_allowed=True, extra="forbid")
+    )(cls)
+    construct = cls.__init__
+    names = list(cls.__dataclass_fields__)
+    plain = _plain_signature(cls, get_type_hints(cls))
+
+    def __init__(self, **fields):
+        try:
+            construct(self, **fields)
+        except ValidationError as error:
+            raise ValueError(_sentence_of(cls.__name__, names, error)) from None
+
+    cls.__init__ = __init__
+    cls.__signature__ = plain
+    return cls

@@ -359,11 +359,10 @@ class RHCBatch(_IteratedBatch):
         lengths = [math.prod(shape) for shape in self._structure.memory.values()]
         first = sum(lengths[: names.index("before")])
         place = slice(first, first + self._before.shape[1])
+        before = self._memory[:, place]  # a view
         runs = np.arange(self.n)
-        memory = get_runs(self._memory, runs)
         is_number = np.abs(self._before) <= MAX_PLAUSIBLE_STATE
-        memory[:, place] = np.where(is_number, self._before, memory[:, place])
-        set_runs(self._memory, runs, memory)
+        set_runs(before, runs, np.where(is_number, self._before, get_runs(before, runs)))
 
     def _joined(self, x, p):
         """Return the joint states (n, n_s)."""

@@ -9,7 +9,7 @@ import casadi as ca
 from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core.controller import rhc
 from rhec.core.estimator import ekf, rhe
-from rhec.core.solver.rti import IMPROVE
+from rhec.core.solver.rti import IMPROVE, chained
 
 # What a sample returns besides the memory.
 CONTROLLER_RESULTS = ("u_plan", "ok", "kkt")
@@ -53,21 +53,10 @@ def build_filter(model, dt_s):
 
 def _build(phases, memory, part, results):
     """Build some phases, one after the other; `memory` {name: shape} are its pieces."""
-    is_shift = part == "shift"
-    chain = [phases[name] for name in (["shift"] if is_shift else _ITERATION)]
-    known = {*memory}
-    inputs = {}
-    for phase in chain:
-        inputs |= {key: phase.sparsity_in(key) for key in phase.name_in() if key not in known}
-        known.update(phase.name_out())
-
-    @with_packed_memory("block", memory, ca.MX, **inputs)
-    def block(**values):
-        for phase in chain:
-            values |= phase(**select_inputs(phase, values))
-        return {name: values[name] for name in (*memory, *(() if is_shift else results))}
-
-    return dict(block=block)
+    if part == "shift":
+        return dict(block=chained("block", [phases["shift"]], memory, (), ca.MX))
+    order = [phases[name] for name in _ITERATION]
+    return dict(block=chained("block", order, memory, results, ca.MX))
 
 
 def _build_improve(phases, memory, unknowns, results):

@@ -70,14 +70,13 @@ class Bound:
 NONE = Bound(-np.inf, np.inf)
 
 
-def bounds_of(field: str, bounds: Any, names: tuple[str, ...], only_hard: bool = False) -> dict:
+def bounds_of(field: str, bounds: Any, names: tuple[str, ...]) -> dict:
     """A user's bounds {name: (lowest, highest) or Bound} as {name: Bound}.
 
     Args:
         field: The parameter's name, for a message.
         bounds: What the user said, or None.
         names: Names that may be bounded.
-        only_hard: Whether prices are refused.
 
     Returns:
         The bounds by name.
@@ -92,11 +91,7 @@ def bounds_of(field: str, bounds: Any, names: tuple[str, ...], only_hard: bool =
     unknown = [name for name in bounds if name not in names]
     if unknown:
         refuse(f"{field} was", tuple(bounds), f"it should name some of {names}, each once")
-    checked = {name: _bound_of(field, name, bound) for name, bound in bounds.items()}
-    soft = [name for name, bound in checked.items() if bound.is_soft]
-    if only_hard and soft:
-        raise ValueError(f"{field} of {soft[0]!r} had a price; here it should be hard, without one")
-    return checked
+    return {name: _bound_of(field, name, bound) for name, bound in bounds.items()}
 
 
 def _bound_of(field, name, bound):

@@ -164,12 +164,12 @@ class ConstrainedStages:
         unknowns = plain.memory
         cost = _build_cost(horizon)
         data = {name: cost.sparsity_in(name) for name in cost.name_in() if name not in unknowns}
-        self.search = relaxation("rhc_search", unknowns, data, cost)
+        self.search = relaxation(unknowns, data, cost)
         self._horizon = horizon
         self._outputs = linearised_outputs(horizon)
         self._stages = _build_stages(horizon)
-        self._solve = interior_point(_shape_of_qp(horizon, self._stages[0]), self.loop_symbols)
-        self._condition = _build_condition(horizon, self.loop_symbols, self._outputs, self.roll_out)
+        self._solve = interior_point(_shape_of_qp(horizon, self._stages[0]))
+        self._condition = _build_condition(horizon, self._outputs, self.roll_out)
 
     def prepare(self, inputs):
         """The outputs along the plan, and the stages of the QP."""
@@ -378,7 +378,7 @@ def _build_node(horizon):
     return node
 
 
-def _build_condition(horizon, loop_symbols, outputs, roll_out):
+def _build_condition(horizon, outputs, roll_out):
     """The gradient g and the values of the rows, at the previous plan from the new estimate."""
     plain = horizon.plain
     N = plain.N
@@ -388,7 +388,7 @@ def _build_condition(horizon, loop_symbols, outputs, roll_out):
     shapes |= {name: ca.repmat(outputs.sparsity_out(name), 1, N + 1) for name in ("Y", "C", "E")}
     shapes |= horizon.memory | horizon.weights | horizon.references
 
-    @casadi_function("rhc_condition", loop_symbols, **shapes)
+    @casadi_function("rhc_condition", compiled.loop_symbols(), **shapes)
     def condition(F, D, B, Y, C, E, s, u, before, Q, QN, R, Q_y, QN_y, R_delta, **references):
         s_0, x_ref, u_ref, y_ref = (references[name] for name in horizon.references)
         plan = planned(plain, [u[place, :] for place in command], u_ref)

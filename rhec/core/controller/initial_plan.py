@@ -1,75 +1,21 @@
 """An initial plan: what the first sample of an RHC starts from, instead of a robot that stays."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from rhec.core._casadi import validation as valid
+from rhec.core._casadi.validation import numbers, refuse
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 
-class InitialPlan(NamedTuple):
-    """Inputs u (n_u, N) and states x (n_x, N+1), or None for the states to which u leads."""
-
-    u: np.ndarray
-    x: np.ndarray | None
-
-    def clipped(self, command, lower, upper):
-        """The plan whose commands keep their bounds.
-
-        Args:
-            command: Places of the n_c commands among the inputs.
-            lower: (n_c,) least commands.
-            upper: (n_c,) greatest commands.
-
-        Returns:
-            The InitialPlan.
-        """
-        u = self.u.copy()
-        for place, least, most in zip(command, lower, upper):
-            u[place] = np.clip(u[place], least, most)
-        return self._replace(u=u)
-
-    def memory(self, horizon, x, p):
-        """The first memory (s, u) of a Horizon at the state x with the parameters p.
-
-        Args:
-            horizon: The Horizon.
-            x: (n_x,) state, which node 0 gets.
-            p: (n_p,) parameters.
-
-        Returns:
-            dict of s (n_s, N+1) and u (n_u, N).
-
-        Raises:
-            ValueError: If the inputs lead from a plausible x to states that are not.
-        """
-        nodes = self.x
-        if nodes is None:
-            nodes = horizon.model.simulate(x, self.u.T, p, dt=horizon.dt_s).T
-            self._check_simulated(nodes, np.concatenate([x, p]))
-        s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-        s[: horizon.n_x, 1:] = nodes[:, 1:]
-        return dict(s=s, u=self.u)
-
-    def _check_simulated(self, nodes, start):
-        """Refuse a plan that diverges; an estimate that is absurd by itself is not its fault."""
-        if np.all(_is_plausible(start)) and not np.all(_is_plausible(nodes)):
-            sample = int(np.argmin(np.all(_is_plausible(nodes), axis=0)))
-            expected = "with x_plan, or other inputs, the controller could start"
-            valid.refuse(f"u_plan led at node {sample} to states", nodes[:, sample], expected)
-
-
-def initial_plan(horizon, u_plan, x_plan):
+def checked_plan(horizon, u_plan, x_plan):
     """Check a plan that a user passes.
 
     Args:
         horizon: The Horizon.
         u_plan: (n_u, N) or (n_u,) inputs, or None.
-        x_plan: (n_x, N+1) states, or None.
+        x_plan: (n_x, N+1) states, or None for those to which the inputs lead.
 
     Returns:
-        The InitialPlan, or None if both are None.
+        (u, x), copies of full size, x None if no states are given; None if both are None.
 
     Raises:
         ValueError: If one of them has another shape or an entry that is no number, or if there are
@@ -81,26 +27,59 @@ def initial_plan(horizon, u_plan, x_plan):
         return None
     u = _checked("u_plan", u_plan, (horizon.n_u, horizon.N))
     if x_plan is None:
-        return InitialPlan(u, None)
-    return InitialPlan(u, _checked("x_plan", x_plan, (horizon.n_x, horizon.N + 1)))
+        return u, None
+    return u, _checked("x_plan", x_plan, (horizon.n_x, horizon.N + 1))
+
+
+def planned_memory(horizon, plan, lower, upper, x, p):
+    """The first memory (s, u) of a Horizon that begins with a plan.
+
+    Args:
+        horizon: The Horizon.
+        plan: That of `checked_plan`. Commands beyond a bound begin at it.
+        lower: (n_c,) least commands.
+        upper: (n_c,) greatest commands.
+        x: (n_x,) state, which node 0 gets.
+        p: (n_p,) parameters.
+
+    Returns:
+        dict of s (n_s, N+1) and u (n_u, N).
+
+    Raises:
+        ValueError: If the inputs lead from a plausible x to states that are not.
+    """
+    u, nodes = plan
+    u = u.copy()
+    commands = list(horizon.command)
+    u[commands] = np.clip(u[commands].T, lower, upper).T
+    if nodes is None:
+        nodes = horizon.model.simulate(x, u.T, p, dt=horizon.dt_s).T
+        _check_simulated(nodes, np.concatenate([x, p]))
+    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
+    s[: horizon.n_x, 1:] = nodes[:, 1:]
+    return dict(s=s, u=u)
+
+
+def _check_simulated(nodes, start):
+    """Refuse a plan that diverges; an estimate that is absurd by itself is not its fault."""
+    if np.all(_is_plausible(start)) and not np.all(_is_plausible(nodes)):
+        sample = int(np.argmin(np.all(_is_plausible(nodes), axis=0)))
+        expected = "with x_plan, or other inputs, the controller could start"
+        refuse(f"u_plan led at node {sample} to states", nodes[:, sample], expected)
 
 
 def _checked(name, value, shape):
     """A copy of an argument as an array; one column stands for all."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} was {valid.shown(value)}; it should be made of numbers") from None
-    if array.shape == shape[:1]:
-        array = np.repeat(array.reshape(-1, 1), shape[1], axis=1)
-    if array.shape != shape:
+    array = numbers(name, value)
+    if array.shape not in (shape, shape[:1]):
         expected = f"it should have {shape}, or {shape[:1]} if it is constant"
         raise ValueError(f"{name} had shape {array.shape}; {expected}")
+    array = np.broadcast_to(array.reshape(shape[0], -1), shape).copy()
     bad = np.argwhere(~_is_plausible(array))
     if len(bad):
         row, column = map(int, bad[0])
         expected = f"it should be a number of at most {MAX_PLAUSIBLE_STATE:g} in size"
-        valid.refuse(f"{name}[{row}, {column}] was", array[row, column].item(), expected)
+        refuse(f"{name}[{row}, {column}] was", array[row, column].item(), expected)
     return array
 
 

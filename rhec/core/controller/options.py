@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.validation import of_length, refuse, shown
+from rhec.core._casadi.validation import numbers, of_length, refuse
 from rhec.core.controller import constrained
 from rhec.core.controller.bounds import NONE, bounds_of
 from rhec.core.controller.constrained import ConstrainedHorizon, Kind, Outputs, Row
 from rhec.core.controller.horizon import Horizon
 from rhec.core.model.base import Model
+from rhec.core.model.expressions import expression_of
 from rhec.core.model.limits import MAX_QP_ENTRY
 from rhec.core.solver.interior_point import NO_PRICE
 
@@ -113,7 +114,7 @@ def _outputs_of(options):
             refuse("outputs was", names, f"{name!r} is in the model; q, r and bounds can name it")
     symbols = [model.dynamics.sx_in(i) for i in range(3)]
     if isinstance(given, Mapping):
-        values = [_expression(name, function, symbols) for name, function in given.items()]
+        values = [expression_of(f"outputs[{name!r}]", given[name], symbols, 1) for name in names]
     else:
         unknown = [name for name in names if name not in model.outputs]
         if unknown:
@@ -122,19 +123,6 @@ def _outputs_of(options):
         z = model.measurement(*symbols)
         values = [z[model.outputs.index(name)] for name in names]
     return Outputs(names, ca.Function("outputs", symbols, [ca.vertcat(ca.SX(0, 1), *values)]))
-
-
-def _expression(name, function, symbols):
-    """A user's function of (x, u, p) as an expression, refused unless it is one number."""
-    expected = "it should map CasADi expressions (x, u, p) to one expression of them"
-    try:
-        value = ca.SX(function(*symbols))
-    except Exception as error:
-        raise ValueError(f"outputs[{name!r}] was refused ({shown(error)}); {expected}") from error
-    known = ca.vertcat(*symbols)
-    if value.numel() != 1 or any(not ca.depends_on(known, each) for each in ca.symvar(value)):
-        refuse(f"outputs[{name!r}] was", value, expected)
-    return ca.densify(value)
 
 
 # Weights
@@ -161,10 +149,7 @@ def _weights_of(options, outputs):
 
 def _weight(name, value, n, of):
     """A weight as a diagonal (n,), or as a matrix (n, n) that is symmetric and not negative."""
-    try:
-        weight = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        refuse(f"{name} was", value, "it should be made of numbers")
+    weight = numbers(name, value).copy()
     if weight.ndim != 2:
         of_length(name, value if np.ndim(value) else (value,), n, of)
     if weight.shape not in ((n,), (n, n)):

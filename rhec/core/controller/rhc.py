@@ -22,7 +22,7 @@ from rhec.core.controller import phases
 from rhec.core.controller.bounds import Bound
 from rhec.core.controller.constrained import ConstrainedStages
 from rhec.core.controller.horizon import init
-from rhec.core.controller.initial_plan import InitialPlan, initial_plan
+from rhec.core.controller.initial_plan import checked_plan, planned_memory
 from rhec.core.controller.options import Options, problem_of
 from rhec.core.controller.plain import PlainStages
 from rhec.core.model.base import Model
@@ -90,7 +90,7 @@ class RHC(RealTimeLoop):
     """
 
     _unsolved = "the QP was not solved; the plan before goes on"
-    _initial: InitialPlan | None = None
+    _initial: tuple | None = None  # the plan (u, x) that `restart` was given
     _before: np.ndarray | None = None  # the commands before the first sample, as `restart` was told
 
     @valid.checked
@@ -148,10 +148,6 @@ class RHC(RealTimeLoop):
             columns = (n_y, problem.plain.N + 1)
             self._inputs["y_ref"] = arrays["y_ref"].reshape(columns, order="F")
 
-    def build(self) -> dict:
-        """The phases of a sample as CasADi Functions, by name, not compiled."""
-        return build_phases(self.structure)
-
     def first_memory(self, x: Any, p: Any) -> dict:
         """The memory before the first sample: the robot stays at x, and nothing is planned.
 
@@ -163,11 +159,6 @@ class RHC(RealTimeLoop):
             The memory's arrays by name.
         """
         return init(self.structure, x, p, self.settings)
-
-    def _command_bounds(self):
-        """Lowest and highest commands, (n_c,) each."""
-        n_c = len(self.problem.command)  # they are the first rows of all that are bounded
-        return self.settings["lower"][:n_c], self.settings["upper"][:n_c]
 
     def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
@@ -185,7 +176,7 @@ class RHC(RealTimeLoop):
             ValueError: If an argument has another shape, or an entry that is no number.
         """
         before = self._commands_before(u_before)
-        self._initial = initial_plan(self.problem, u_plan, x_plan)
+        self._initial = checked_plan(self.problem, u_plan, x_plan)
         self._before = before
         self.iteration.restart()
 
@@ -351,8 +342,9 @@ class RHC(RealTimeLoop):
         memory = self.first_memory(x, p)
         if self._initial:
             # A line search would refuse the way back to the bounds, where it raises the cost.
-            within = self._initial.clipped(self.problem.command, *self._command_bounds())
-            memory |= within.memory(self.problem, x, p)
+            n_c = len(self.problem.command)  # their bounds are the first of all
+            bounds = (self.settings[name][:n_c] for name in ("lower", "upper"))
+            memory |= planned_memory(self.problem, self._initial, *bounds, x, p)
         self.iteration.start(memory)
 
     @property

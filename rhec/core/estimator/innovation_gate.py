@@ -34,10 +34,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.core.estimator import guard, new_start
+from rhec.core.estimator import new_start
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
@@ -62,12 +61,14 @@ TUNED = Tuned()
 
 
 @dataclass(frozen=True)
-class InnovationGate(guard.Judge):
+class InnovationGate:
     """The gate that judges these outputs of a Model, by name; without names all of them.
 
     Outputs that measure an input belong to the inputs, and are not judged by themselves.
-    `accepted` tells of the `reported` outputs, by name, which are used. `half_turn` tells how to
-    see that the robot is thought to be turned round; without it nothing does.
+    `accepted` tells of the `reported` outputs, by name, which are used. Where the model may lead
+    nowhere (`doubts_model`), as one without slopes in places does, the prediction and all nodes of
+    the window have to be plausible. `half_turn` tells how to see that the robot is thought to be
+    turned round; without it nothing does.
     """
 
     judged: tuple[str, ...] = ()
@@ -101,12 +102,12 @@ class InnovationGate(guard.Judge):
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
         return memory | (dict(turned=(1, 1)) if self.sees_half_turns(window) else {})
 
-    def first(self, window):
-        """Nothing: the first sample is judged by the first guess."""
-        return {name: np.zeros(shape) for name, shape in self.memory(window).items()}
-
     def build(self, window):
-        """The Function that tells how the newest sample is used."""
+        """The Function (prediction, s_N, z_N, noise, memory, …) -> how the newest sample is used.
+
+        That is `z_used`, the prediction's `m_used` and `P_used`, `agrees`, `accepted`, `restart`,
+        and of each piece of the memory `<piece>_after`.
+        """
         interval = window.interval
         outputs = self.outputs(window)
         limit = self.limit(window)
@@ -164,7 +165,16 @@ class InnovationGate(guard.Judge):
         return dict(accepted=ca.vertcat(*used)) if used else {}
 
     def conclude(self, window, given, verdict, result):
-        """The window fails, too, where a variance is not positive or too large."""
+        """The flags `ok`, `kept` and `restart`, and the memory, given the feedback's result.
+
+        The window fails, too, where a variance is not positive or too large.
+
+        Args:
+            window: The rhe.Window.
+            given: {name: expression} of the inputs of the gate's Function and of the feedback.
+            verdict: {name: expression} of the gate's Function.
+            result: {name: expression} of the feedback.
+        """
         variances = ca.diag(result["covariance"])
         has_variances = ca.mmin(variances) > 0
         kept = result["ok"] * has_variances * (ca.mmax(variances) <= MAX_PLAUSIBLE_STATE)

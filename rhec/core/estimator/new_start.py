@@ -9,7 +9,7 @@ bound at which they stay. A window that is thought to be turned round is turned 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, short_cut
-from rhec.core.estimator import guard, kalman
+from rhec.core.estimator import kalman
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 
 _MAX_VARIANCE = MAX_PLAUSIBLE_STATE / 2  # in the direction of an output
@@ -43,7 +43,15 @@ def build(window, outputs, where, after):
         s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
         for place, (lower, upper) in interval.bounds.items():
             s[place] = ca.fmin(ca.fmax(s[place], lower), upper)
-        fresh = guard.fresh(window, memory, s, z_used, m, P)
+        N = window.N
+        fresh = memory | dict(
+            s=ca.repmat(s, 1, N + 1),
+            v=ca.repmat(memory["v"][:, N - 1], 1, N),
+            z=ca.horzcat(ca.SX.nan(z_used.numel(), N), z_used),
+            age=0,
+            m=m,
+            P=P,
+        )
         return {name: ca.if_else(goes_on, memory[name], fresh[name]) for name in memory}
 
     return restarted

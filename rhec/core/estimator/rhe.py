@@ -22,8 +22,8 @@ import numpy as np
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
-from rhec.core._casadi.build import casadi_function, select_inputs, short_cut, with_packed_memory
-from rhec.core.estimator import innovation_gate, kalman, window_bounds, window_noise
+from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
+from rhec.core.estimator import kalman, window_bounds, window_noise
 from rhec.core.estimator.base import (
     joint_estimate,
     joint_guess,
@@ -31,7 +31,8 @@ from rhec.core.estimator.base import (
     noise_shapes,
     variances_w,
 )
-from rhec.core.estimator.guard import Judge, first_noise, noise_memory, whole_noise, with_guard
+from rhec.core.estimator.guard import noise_memory, whole_noise, with_guard
+from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import base
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
@@ -44,9 +45,10 @@ from rhec.core.solver.rti import (
     PHASES,
     RealTimeIteration,
     RealTimeLoop,
+    chained,
     copy_checked,
     iterate,
-    run_phases,
+    outer_inputs,
 )
 
 ArrivalMean = Literal["filtered", "smoothed"]  # interpretation R7; see RHE
@@ -83,8 +85,9 @@ class Window(NamedTuple):
     dt_s: float  # length of an interval [s]
     N: int  # intervals of the window
     arrival_mean: ArrivalMean = "filtered"
-    judge: Judge | None = None  # how each sample is used (`guard`); None: as it is measured
-    noisy: bool = False  # whether process noise acts within the window (`window_noise`)
+    judge: InnovationGate | None = None  # of each sample (`guard`); None: it is used as measured
+    # Whether process noise acts within the window (`window_noise`); that takes a judge.
+    noisy: bool = False
     # Names of what the estimate holds, inputs as they are measured: with noise that is slip, an
     # encoder does not measure the robot's motion. None: all of the model, as estimated.
     quantities: tuple[str, ...] | None = None
@@ -126,13 +129,8 @@ class Window(NamedTuple):
         return self.pieces._asdict() | noise_memory(self) | of_judge
 
     @property
-    def by_node(self):
-        """Names of the noises that differ by node."""
-        return ("Q",) * self.noisy
-
-    @property
     def doubts_model(self):
-        """Whether predictions and all nodes have to be plausible, see `guard.Judge`."""
+        """Whether predictions and all nodes have to be plausible, see `InnovationGate`."""
         return bool(self.judge and self.judge.doubts_model)
 
     @property
@@ -147,14 +145,13 @@ class Window(NamedTuple):
     @property
     def noises(self):
         """Shapes for the whole window: Q has one column for each interval."""
-        by_node = {name: (self.noise[name][0], self.N) for name in self.by_node}
-        return self.noise | by_node
+        return self.noise | (dict(Q=(self.interval.n_s, self.N)) if self.noisy else {})
 
     def at(self, node, **noises):
         """V, c and Q of one node, from those of the whole window."""
-        # Before the oldest node lies no interval of the window.
-        column = max(node - 1, 0)
-        return noises | {name: noises[name][:, column] for name in self.by_node}
+        if self.noisy:  # before the oldest node lies no interval of the window
+            noises["Q"] = noises["Q"][:, max(node - 1, 0)]
+        return noises
 
     @property
     def prediction(self):
@@ -251,7 +248,7 @@ def _build_shift(window):
 # Linearise: a Kalman filter from the oldest node to the newest, whose measurement is to come.
 
 
-def _build_linearise(window, loop_symbols):
+def _build_linearise(window):
     interval = window.interval
     N = window.N
     s, P, v, z, *_ = window.shapes
@@ -270,7 +267,7 @@ def _build_linearise(window, loop_symbols):
         P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
         return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
 
-    @casadi_function("rhe_linearise", loop_symbols)
+    @casadi_function("rhe_linearise", compiled.loop_symbols())
     def linearise(memory: window.pieces, noises: window.noises):
         """Filtered of the whole window, the prediction of node N, and s̄_N."""
         s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
@@ -356,7 +353,7 @@ def _build_condition(window):
     return condition
 
 
-def _build_feedback(window, loop_symbols):
+def _build_feedback(window):
     n_q = len(window.interval.bounds)
     _, lower, upper = _bounded(window.interval)
     s, _, _, z, *_ = window.shapes
@@ -364,7 +361,7 @@ def _build_feedback(window, loop_symbols):
     condition = _build_condition(window)
     solve = box_qp(n_q) if n_q else None
 
-    @casadi_function("rhe_feedback", loop_symbols if n_q <= 2 else ca.MX)
+    @casadi_function("rhe_feedback", compiled.loop_symbols() if n_q <= 2 else ca.MX)
     def feedback(s_N: s, prediction: window.prediction, z_N: z, noise: window.noise):
         """The estimate, by the Kalman update with z_N and the QP within the bounds."""
         inputs = dict(s_N=s_N, z_N=z_N) | prediction | noise
@@ -503,7 +500,7 @@ def _sweep_forward(forward, first, descent, intervals, s, v, v_new, measured):
     return s_new, descent
 
 
-def _build_expand(window, linearise, feedback, loop_symbols, whole_window):
+def _build_expand(window, linearise, feedback, whole_window):
     N = window.N
     C, lower, upper = _bounded(window.interval)
     backward, oldest, forward = _build_passes(window)
@@ -514,7 +511,7 @@ def _build_expand(window, linearise, feedback, loop_symbols, whole_window):
     filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
     constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
-    @casadi_function("rhe_expand", loop_symbols)
+    @casadi_function("rhe_expand", compiled.loop_symbols())
     def expand(
         memory: memory,
         noises: noises,
@@ -543,11 +540,11 @@ def _build_expand(window, linearise, feedback, loop_symbols, whole_window):
     return expand
 
 
-def _build_plain_phases(window, loop_symbols, whole_window):
+def _build_plain_phases(window, whole_window):
     shift = _build_shift(window)
-    linearise = _build_linearise(window, loop_symbols)
-    feedback = _build_feedback(window, loop_symbols)
-    expand = _build_expand(window, linearise, feedback, loop_symbols, whole_window)
+    linearise = _build_linearise(window)
+    feedback = _build_feedback(window)
+    expand = _build_expand(window, linearise, feedback, whole_window)
     return dict(shift=shift, linearise=linearise, feedback=feedback, expand=expand)
 
 
@@ -557,18 +554,17 @@ def build_phases(window):
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
     m_0 if the judge doubts the model.
     """
-    loop_symbols = compiled.loop_symbols()
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
-    symbols = loop_symbols if is_closed_form else ca.MX
+    symbols = compiled.loop_symbols() if is_closed_form else ca.MX
     if window.model.state_bounds:
-        free = _build_plain_phases(window_bounds.without_bounds(window), loop_symbols, True)
-        phases = window_bounds.with_bounds(window, free, _build_next_window(window), loop_symbols)
+        free = _build_plain_phases(window_bounds.without_bounds(window), whole_window=True)
+        phases = window_bounds.with_bounds(window, free, _build_next_window(window))
     else:
-        phases = _build_plain_phases(window, loop_symbols, window.doubts_model)
-    if window.judge or window.noisy:
+        phases = _build_plain_phases(window, window.doubts_model)
+    if window.judge:
         phases = with_guard(window, phases, symbols)
-    return phases | dict(step=compose("rhe_step", phases, window.memory, symbols))
+    return phases | dict(step=_build_step(phases, window.memory, symbols))
 
 
 def build_solvable(window):
@@ -653,7 +649,7 @@ def _build_improve(window, phases):
     search = line_search("rhe_search", unknowns, data, cost_and_gaps)
     model = window.model
     iteration = [phases[name] for name in PHASES if name != "shift"]
-    shapes = window.memory | _outer_inputs(iteration, window.memory) | dict(penalty=PENALTY)
+    shapes = window.memory | outer_inputs(iteration, window.memory) | dict(penalty=PENALTY)
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
@@ -680,30 +676,12 @@ def _build_improve(window, phases):
     return improve
 
 
-def _outer_inputs(phases, memory):
-    """{name: shape} of inputs that neither the memory nor one of the phases provides."""
-    computed = {output for phase in phases for output in phase.name_out()} | memory.keys()
-    named = [(key, phase.size_in(key)) for phase in phases for key in phase.name_in()]
-    return {key: shape for key, shape in named if key not in computed}
-
-
-def compose(name, phases, memory, symbols):
-    """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …).
-
-    `memory` {name: shape} is packed in one vector; `symbols` are SX or MX.
-    """
-    order = [phases[phase] for phase in PHASES]
-    inputs = {"z_N": phases["feedback"].size_in("z_N")}  # the measurement follows the memory
-    inputs |= _outer_inputs(order, memory)
+def _build_step(phases, memory, symbols):
+    """All phases of one sample as one Function (memory, z_N, …) -> (memory, estimate, …)."""
+    order = [phases[name] for name in PHASES]
     candidates = ("estimate", "covariance", "deviance", "ok", "accepted", "restart")
-    outputs = [key for key in candidates if key in phases["feedback"].name_out()]
-
-    @with_packed_memory(name, memory, symbols, **inputs)
-    def step(**values):
-        values = run_phases(phases, values)
-        return {key: values[key] for key in (*outputs, "kkt", *memory)}
-
-    return step
+    results = [key for key in candidates if key in phases["feedback"].name_out()]
+    return chained("rhe_step", order, memory, (*results, "kkt"), symbols, first=("z_N",))
 
 
 def init(window, guess, sigma, inputs=0.0):
@@ -717,8 +695,9 @@ def init(window, guess, sigma, inputs=0.0):
     v = np.full((N, window.interval.n_v), inputs).T
     z = np.full((len(window.model.outputs), N + 1), np.nan)
     memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
-    of_judge = window.judge.first(window) if window.judge else {}
-    return memory | first_noise(window) | of_judge
+    # The judge knows of no samples: the first one is judged by the guess.
+    others = {name: shape for name, shape in window.memory.items() if name not in memory}
+    return memory | {name: np.zeros(shape) for name, shape in others.items()}
 
 
 def refuse_noise(sigma_w):
@@ -777,8 +756,7 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        gate = innovation_gate.InnovationGate()
-        window = Window(model, dt, horizon, arrival_mean, gate, noise_in_window)
+        window = Window(model, dt, horizon, arrival_mean, InnovationGate(), noise_in_window)
         self._load(build_solvable, window, settings)
 
     def _load(self, build, window, settings):

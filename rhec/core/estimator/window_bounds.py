@@ -132,7 +132,7 @@ def _dynamics(shape, D, columns):
     )
 
 
-def _build_qp(window, loop_symbols):
+def _build_qp(window):
     """The Function of the QP: (memory, noises, filtered, z_N, s*, v*) -> (s, v, kkt, ok)."""
     N = window.N
     n_v = window.interval.n_v
@@ -140,7 +140,7 @@ def _build_qp(window, loop_symbols):
     n = shape.n
     measured, whitened = _build_stage(window, shape)
     first = _build_first(window, shape)
-    solve = interior_point(shape, loop_symbols)
+    solve = interior_point(shape)
     pieces = {name: getattr(window.pieces, name) for name in ("s", "v", "z", "P")}
     sparse = {name: ca.repmat(each, 1, N) for name, each in window.interval.sparsities.items()}
     best = dict(s_best=pieces["s"], v_best=pieces["v"])
@@ -169,16 +169,15 @@ def _build_qp(window, loop_symbols):
     return qp
 
 
-def with_bounds(window, phases, next_window, loop_symbols):
+def with_bounds(window, phases, next_window):
     """The phases {shift, linearise, feedback, expand} within the bounds of all nodes.
 
     Args:
         window: The rhe.Window.
         phases: The phases of the same window without bounds, see `without_bounds`.
         next_window: `rhe._build_next_window`.
-        loop_symbols: SX or MX, for Functions that repeat another.
     """
-    qp = _build_qp(window, loop_symbols)
+    qp = _build_qp(window)
     feedback = _build_feedback(window, phases, qp)
     from_feedback = ("s_window", "v_window", "qp_kkt", "ok")
     shapes = {name: feedback.sparsity_out(name) for name in from_feedback}
@@ -200,10 +199,13 @@ def _build_feedback(window, phases, qp):
     free = phases["feedback"]
     smooth = phases["expand"]
     # Noises of all nodes have other names than that of the newest one.
-    of_nodes = {name: f"{name}_window" for name in window.by_node}
-    names = {name: of_nodes.get(name, name) for name in smooth.name_in()}
-    shapes = {names[name]: smooth.sparsity_in(name) for name in names}
-    shapes = {name: shape for name, shape in shapes.items() if name not in free.name_out()}
+    of_nodes = dict(Q="Q_window") if window.noisy else {}
+    names = {of_nodes.get(name, name): name for name in smooth.name_in()}
+    shapes = {
+        name: smooth.sparsity_in(of_smooth)
+        for name, of_smooth in names.items()
+        if name not in free.name_out()
+    }
     shapes |= {name: free.sparsity_in(name) for name in free.name_in()}
 
     @casadi_function("bounded_feedback", ca.MX, **shapes)

@@ -173,7 +173,7 @@ class InLanes(Program):
         self._arguments = (ctypes.c_void_p * n_arguments)()
         self._results = (ctypes.c_void_p * n_results)()
         self._integers = (ctypes.c_longlong * n_integers)()
-        self._reals = ctypes.c_void_p(self.array("work space", n_reals).ctypes.data)
+        self._reals = ctypes.c_void_p(self.scratch("work space", n_reals).ctypes.data)
 
     def evaluate(self, calls, arguments, results):
         """As `Program.evaluate`."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from rhec.core._casadi.sines import sines_by_addition
 from rhec.core._casadi.validation import refuse, shown
-from rhec.core.model.expressions import function_of
+from rhec.core.model.expressions import expression_of
 from rhec.core.model.integration import RULES, Rule, integrate
 from rhec.core.model.integration import rk4 as rk4
 from rhec.core.model.limits import (
@@ -131,7 +131,9 @@ class Model:
     @functools.cached_property
     def dynamics(self) -> ca.Function:
         """(x, u, p) -> ẋ, or the next state of a discrete Model."""
-        return function_of("f", self.f, _symbols(self), len(self.states))
+        symbols = _symbols(self)
+        slope = expression_of("f", self.f, symbols, len(self.states))
+        return ca.Function("f", symbols, [slope], ["x", "u", "p"], ["f"])
 
     @functools.cached_property
     def slopes(self) -> ca.Function:
@@ -151,8 +153,7 @@ class Model:
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {expected}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
-            h = function_of("h", self.h, symbols, *sizes)
-            outputs = ca.vertsplit(h(*symbols))
+            outputs = ca.vertsplit(expression_of("h", self.h, symbols, *sizes))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
         z = (values[name] for name in self.outputs)

@@ -1,4 +1,4 @@
-"""A user's functions of a Model, as CasADi Functions, or refused in a sentence."""
+"""A user's functions of (x, u, p), as CasADi expressions, or refused in a sentence."""
 
 import math
 
@@ -14,11 +14,11 @@ class _Column(ca.SX):
         return iter(ca.vertsplit(self))
 
 
-def function_of(name, function, symbols, *sizes):
-    """A user's function as a Function of the symbols, whose length is one of the sizes.
+def expression_of(name, function, symbols, *sizes):
+    """A user's function as a column of the symbols, whose length is one of the sizes.
 
     Args:
-        name: What the user calls it: "f" or "h".
+        name: What the user calls it, such as "f".
         function: Of x, u and p.
         symbols: x, u and p.
         sizes: Allowed numbers of its entries.
@@ -40,11 +40,11 @@ def function_of(name, function, symbols, *sizes):
     free = [s.name() for s in ca.symvar(value) if not ca.depends_on(known, s)]
     if free:
         raise ValueError(f"{problem}, with {free[0]!r} free; it should depend on x, u and p alone")
-    result = ca.Function(name, symbols, [ca.densify(ca.vec(value))], ["x", "u", "p"], [name])
-    if _has_nan(result):
+    column = ca.densify(ca.vec(value))
+    if _has_nan(ca.Function("column", symbols, [column])):
         expected = "it should use CasADi's functions, such as ca.sin in place of math.sin"
         raise ValueError(f"{problem}, which is no number whatever x, u and p are; {expected}")
-    return result
+    return column
 
 
 def _has_nan(function):

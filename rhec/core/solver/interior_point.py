@@ -28,7 +28,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function, every, select_inputs
+from rhec.core._casadi.build import casadi_function, every, in_turn, select_inputs
+from rhec.core._casadi.compiled import loop_symbols
 from rhec.core.model.limits import MAX_QP_ENTRY
 from rhec.core.solver.gauss_newton import symmetric
 
@@ -139,7 +140,7 @@ class Shape(NamedTuple):
         return [dict(zip(shapes, each)) for each in zip(*parts)]
 
 
-def interior_point(shape, loop_symbols):
+def interior_point(shape):
     """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, solved, …).
 
     It takes D, B, H, g, G, lower and upper of the nodes 0 … N side by side, and the prices
@@ -148,7 +149,6 @@ def interior_point(shape, loop_symbols):
 
     Args:
         shape: The Shape of the QP.
-        loop_symbols: SX or MX, for Functions that repeat a stage.
 
     Returns:
         The Function. Its results are z (n + m, N+1), solved, the number of iterations,
@@ -159,8 +159,8 @@ def interior_point(shape, loop_symbols):
     one = (1, 1)
     state = shape.of_all_nodes(shape.point)
     state |= dict(scale=one, gap=one, error=one, gain=one, iterations=one)
-    start = _build_start(shape, loop_symbols)
-    search = _build_search(_build_iteration(shape, loop_symbols, problem, state), problem, state)
+    start = _build_start(shape)
+    search = _build_search(_build_iteration(shape, problem, state), problem, state)
     rows = (shape.n_rows, shape.N + 1)
     given = {name: problem[name] for name in "DBHg"}
     given |= dict(G=ca.repmat(shape.G, 1, shape.N + 1), lower=rows, upper=rows)
@@ -230,7 +230,7 @@ def _widest(shape, b):
     return ca.if_else(own > _TINY, own, other) + _TINY
 
 
-def _build_start(shape, loop_symbols):
+def _build_start(shape):
     """The first point: z = 0, with λ s = γ t, and what stays the same: prices, δ, scales.
 
     `scale` is the cost that the QP without bounds gains, and what it costs to leave each row whose
@@ -241,7 +241,7 @@ def _build_start(shape, loop_symbols):
     shapes |= dict(linear=shape.soft, quadratic=shape.soft)
     without_bounds = _build_without_bounds(shape)
 
-    @casadi_function("qp_start", loop_symbols, **shapes)
+    @casadi_function("qp_start", loop_symbols(), **shapes)
     def start(**given):
         there, b = _bounded(given["b"])
         stages = shape.by_node(shape.stage, given)
@@ -301,31 +301,20 @@ def _build_without_bounds(shape):
 
 
 def _build_search(iterate, problem, state):
-    """Iterations until one converges or MAX_ITERATIONS are done, unrolled by doubling."""
-    shapes = problem | state
+    """Iterations until one converges or MAX_ITERATIONS are done."""
 
-    @casadi_function("qp_ended", ca.MX, **shapes)
-    def ended(**inputs):
-        return {piece: inputs[piece] for piece in state}
+    def has_ended(inputs, after):
+        # Where rounding keeps the error of a row, more iterations would not lower it.
+        is_kept = (after["error"] <= _TOLERANCE) * (after["error"] > inputs["error"] / 2)
+        error = ca.if_else(is_kept, 0, after["error"])
+        worst = ca.fmax(ca.fmax(after["gap"], error) - _CONVERGED, after["gain"] - _OPTIMAL)
+        # A comparison with a number that is none is false: then the search has ended as well.
+        return ca.logic_not(worst > 0)
 
-    def twice(name, once):
-        @casadi_function(name, ca.MX, **shapes)
-        def search(**inputs):
-            after = once(**inputs)
-            unless_ended = ca.Function.if_else(f"{name}_or_not", ended, once)
-            # Where rounding keeps the error of a row, more iterations would not lower it.
-            is_kept = (after["error"] <= _TOLERANCE) * (after["error"] > inputs["error"] / 2)
-            error = ca.if_else(is_kept, 0, after["error"])
-            worst = ca.fmax(ca.fmax(after["gap"], error) - _CONVERGED, after["gain"] - _OPTIMAL)
-            # A comparison with a number that is none is false: then the search has ended as well.
-            result = unless_ended(ca.logic_not(worst > 0), *(inputs | after).values())
-            return dict(zip(state, result))
-
-        return search
-
+    then = in_turn("qp_search", problem | state, state, has_ended)
     search = iterate
     for doubling in range(_DOUBLINGS):
-        search = twice(f"qp_search_{doubling}", search)
+        search = then(doubling, search, search)
     return search
 
 
@@ -562,12 +551,12 @@ def _build_direction(shape):
     return direction
 
 
-def _build_iteration(shape, loop_symbols, problem, state):
+def _build_iteration(shape, problem, state):
     """One iteration: the step to λ s = γ t = 0, and from it the step to their new target."""
     direction = _build_direction(shape)
     measured = _build_measured(shape)
 
-    @casadi_function("qp_iteration", loop_symbols, **problem, **state)
+    @casadi_function("qp_iteration", loop_symbols(), **problem, **state)
     def iterate(scale, iterations, **given):
         stages = shape.by_node(shape.stage, given)
         points = shape.by_node(shape.point, given)

@@ -9,7 +9,7 @@ solution is exact.
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function
+from rhec.core._casadi.build import casadi_function, in_turn
 
 DOUBLINGS = 8
 MAX_SWEEPS = 2**DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
@@ -33,7 +33,7 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
     return proposed, first_exchange, n_infeasible
 
 
-def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
+def search_active_set(N, solve, problem, doublings):
     """Build a Function (problem …, active) -> (solved, x, multipliers); the last two are rows of N.
 
     `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
@@ -47,32 +47,15 @@ def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
     # `wrong` counts the infeasible variables of the last guess, `least` the fewest so far.
     state = dict(active=row, least=one, patience=one, wrong=one, x=row, multipliers=row)
     shapes = problem | state
-    pivot = _build_pivot(name, solve, shapes)
+    pivot = _build_pivot(solve, shapes)
 
-    @casadi_function(f"{name}_converged", ca.MX, **shapes)
-    def converged(**inputs):
-        return {piece: inputs[piece] for piece in state}
-
-    def repeat_unless_converged(name, first, second):
-        """A Function that runs `first` and, only if that has not converged, `second`."""
-
-        @casadi_function(name, ca.MX, **shapes)
-        def search(**inputs):
-            after = first(**inputs)
-            unless_converged = ca.Function.if_else(f"{name}_or_not", converged, second)
-            result = unless_converged(after["wrong"] <= 0, *(inputs | after).values())
-            return dict(zip(state, result))
-
-        return search
-
-    # CasADi has no early exit, so the loop is unrolled by doubling: each search runs the one
-    # before it twice, 2^doublings pivots in the end.
+    then = in_turn("stage_qp_search", shapes, state, lambda inputs, after: after["wrong"] <= 0)
     search = pivot
     for doubling in range(doublings):
-        search = repeat_unless_converged(f"{name}_search_{doubling}", search, search)
-    search = repeat_unless_converged(f"{name}_search", pivot, search)
+        search = then(doubling, search, search)
+    search = then("whole", pivot, search)
 
-    @casadi_function(name, ca.MX, **problem, active=row)
+    @casadi_function("stage_qp", ca.MX, **problem, active=row)
     def search_from(active, **problem):
         zeros = ca.MX.zeros(1, N)
         start = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
@@ -85,10 +68,10 @@ def search_active_set(name, N, solve, problem, doublings=DOUBLINGS):
     return search_from
 
 
-def _build_pivot(name, solve, shapes):
+def _build_pivot(solve, shapes):
     """One guess solved, and the next one chosen."""
 
-    @casadi_function(f"{name}_pivot", ca.MX, **shapes)
+    @casadi_function("stage_qp_pivot", ca.MX, **shapes)
     def pivot(active, least, patience, wrong, x, multipliers, **problem):
         solution = solve(**problem, active=active)
         n_infeasible = solution["wrong"]

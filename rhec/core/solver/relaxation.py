@@ -17,11 +17,10 @@ _NO_STEP = 1e-9  # relative to the largest number: a step at which an iteration 
 _TINY = 1e-300
 
 
-def relaxation(name, unknowns, data, cost):
+def relaxation(unknowns, data, cost):
     """Build the Function that goes a share of a step, like `line_search`.
 
     Args:
-        name: Of the Function.
         unknowns: {name: shape} of the unknowns.
         data: {name: shape} of what the cost depends on besides.
         cost: Function (unknowns, data) -> cost.
@@ -35,7 +34,7 @@ def relaxation(name, unknowns, data, cost):
     carried = 1 + sum(rows * columns for rows, columns in unknowns.values())
     known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1))
 
-    @casadi_function(name, ca.MX, **unknowns, **full, **known, **data)
+    @casadi_function("rhc_search", ca.MX, **unknowns, **full, **known, **data)
     def search(penalty, solved, kkt, **values):
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
         step = ca.veccat(*(values[f"{key}_full"] - values[key] for key in unknowns))

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rhec.core._casadi.build import select_inputs
+from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
 
@@ -30,6 +30,39 @@ def run_phases(phases, values):
     for name in PHASES:
         values |= phases[name](**select_inputs(phases[name], values))
     return values
+
+
+def outer_inputs(phases, memory):
+    """{name: sparsity} of inputs that neither the memory nor an earlier one of the phases gives."""
+    known = {*memory}
+    inputs = {}
+    for phase in phases:
+        inputs |= {key: phase.sparsity_in(key) for key in phase.name_in() if key not in known}
+        known.update(phase.name_out())
+    return inputs
+
+
+def chained(name, phases, memory, results, symbols, first=()):
+    """Phases, one after the other, as one Function (memory, …) -> (memory, results …).
+
+    Args:
+        name: Of the Function.
+        phases: The phases, Functions; each adds its results to the values, by name.
+        memory: {name: shape} of the pieces of the memory, which is packed in one vector.
+        results: Names of what it returns besides.
+        symbols: SX or MX.
+        first: Names of the inputs that follow the memory; the others follow these.
+    """
+    inputs = outer_inputs(phases, memory)
+    inputs = {key: inputs[key] for key in first} | inputs
+
+    @with_packed_memory(name, memory, symbols, **inputs)
+    def chain(**values):
+        for phase in phases:
+            values |= phase(**select_inputs(phase, values))
+        return {key: values[key] for key in (*memory, *results)}
+
+    return chain
 
 
 def iterate(phases, values):
@@ -204,7 +237,8 @@ class RealTimeLoop:
         """Whether the last step was solved, and the last `solve` ended near a solution.
 
         Where a step was not solved, its result is the shifted previous solution. A `solve` ended
-        near a solution if another iteration would lower the cost by less than a tenth of it.
+        near a solution if another iteration would lower the cost by less than a tenth of it. That
+        is relative to the cost, and `kkt` is not: where the cost is 100, a `kkt` of 7.7 is `ok`.
         """
         return self.iteration.arrays["ok"].item() == 1
 

@@ -70,7 +70,7 @@ def stage_qp(N, A_0, D, B, Q, R, loop_symbols, doublings=DOUBLINGS):
         corrected = dict(corrected=proposed, first_corrected=first_exchange)
         return dict(x=u, multipliers=multipliers, **corrected, wrong=wrong)
 
-    return search_active_set("stage_qp", N * m, solve, problem, doublings)
+    return search_active_set(N * m, solve, problem, doublings)
 
 
 def _build_backward(A_0, D_i, B_i, Q_i, R_i):

@@ -145,7 +145,8 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
     cached = functools.lru_cache(4 * _SEEDS_TOGETHER)
     noise = cached(closed_loop.noise_and_faults)
     soil_settings = cached(terrain.settings)
-    for key, scenario in scenarios.items():
+    # A group takes as long as its longest run: with the longest first, runs of a length meet.
+    for key, scenario in sorted(scenarios.items(), key=lambda item: -count_samples(item[1])):
         family = _all_but_seed(scenario)
         try:
             setup = setups[family] = _set_up(scenario, setups.get(family), soil_settings)
@@ -154,36 +155,15 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
         if setup.structure not in blocks:
             blocks[setup.structure] = _load_block(setup.structure, mean_samples)
         block = blocks[setup.structure]
-        samples = count_samples(scenario)
-        if not block or samples * block.lanes > _MAX_SAMPLES_IN_MEMORY:
+        if not block or count_samples(scenario) * block.lanes > _MAX_SAMPLES_IN_MEMORY:
             continue
-        group = groups.setdefault((setup.structure, samples), {})
+        group = groups.setdefault(setup.structure, {})
         group[key] = scenario, setup
         if len(group) == block.lanes:
-            del groups[setup.structure, samples]
-            results |= _run_group(block, group, noise, result_of)
-    for structure, group in _merged(groups, blocks):
+            results |= _run_group(block, groups.pop(setup.structure), noise, result_of)
+    for structure, group in groups.items():
         results |= _run_group(blocks[structure], group, noise, result_of)
     return results
-
-
-def _merged(groups, blocks):
-    """Yield (structure, group) of groups with fewer runs than lanes, filled up with one another.
-
-    Runs of different lengths share a group here. It takes as long as its longest run, so that the
-    longest ones come first: no order takes less time.
-
-    Args:
-        groups: {(structure, samples): {key: (scenario, setup)}}.
-        blocks: {structure: compiled lanes}.
-    """
-    by_structure = {}
-    for structure, samples in sorted(groups, key=lambda of: -of[1]):
-        by_structure.setdefault(structure, []).extend(groups[structure, samples].items())
-    for structure, runs in by_structure.items():
-        n_lanes = blocks[structure].lanes
-        for first in range(0, len(runs), n_lanes):
-            yield structure, dict(runs[first : first + n_lanes])
 
 
 def _set_up(scenario, relative, soil_settings):
@@ -245,5 +225,7 @@ def _run_group(block, group, noise, result_of):
     memories = [setup.memory for setup in setups]
     settings = [setup.settings for setup in setups]
     rows = runner.run(block, memories, streams, settings)
-    runs = closed_loop.finish_all(scenarios, setups, rows)
-    return {key: result_of(run) for key, run in zip(group, runs)}
+    return {
+        key: result_of(closed_loop.finished(scenario, setup, of_run))
+        for (key, (scenario, setup)), of_run in zip(group.items(), rows)
+    }
