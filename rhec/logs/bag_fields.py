@@ -59,8 +59,7 @@ def fields_of(columns: dict[str, str], types: dict[str, str]) -> list[Field]:
     """
     fields = []
     for column, path in columns.items():
-        topics = [name for name in types if path.startswith((f"{name}.", f"{name}["))]
-        topic = max(topics, key=len, default="")
+        topic = next((name for name in types if path.startswith((f"{name}.", f"{name}["))), "")
         rest = path[len(topic) :]
         if not topic and not path.startswith("/"):
             continue

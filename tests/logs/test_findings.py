@@ -17,6 +17,7 @@ import pytest
 from helpers import TRACK_WIDTH_M, recorded_log
 
 import rhec
+from rhec import paper
 from rhec.cli import main
 from rhec.logs import replay as module
 from rhec.logs.path_checks import likeliest_delay
@@ -282,6 +283,20 @@ def test_how_many_positions_count_is_always_said():
     assert rhec.doctor(LOG).facts["positions_usable"] == 1
     few = rhec.doctor(LOG.assign(pos_ok=LOG.index % 4 == 0))
     assert few.facts["positions_usable"] == pytest.approx(0.25, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "columns, given_m, width_m, source",
+    [
+        ([*LOG], 0.6, 0.6, "as given"),
+        ([*LOG], None, TRACK_WIDTH_M, "by the log's v_left_mps, v_right_mps and yaw_rate_radps"),
+        ([*LOG.columns[:5]], None, paper.TRACK_WIDTH_M, "the paper's"),
+    ],
+)
+def test_the_track_width_has_a_source(columns, given_m, width_m, source):
+    recording = prepare(LOG[columns], given_m)
+    assert recording.track_width_m == pytest.approx(width_m)
+    assert source in recording.width_source
 
 
 def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):

@@ -286,7 +286,9 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
 def many(tmp_path_factory):
     """A bag with all types, of 10 s."""
     t = np.arange(0, 10, 0.1)
-    x, y, speed, yaw_rate = RANDOM.normal(size=(4, len(t)))
+    x, y, speed, yaw_rate = np.cumsum(RANDOM.normal(size=(4, len(t))), axis=1)
+    x -= x[0]  # degrees become metres from the first position
+    y -= y[0]
     degrees = degrees_of(pd.DataFrame(dict(x_m=x, y_m=y)), 46.78)
     messages = []
     for row, when in enumerate(t):
