@@ -22,7 +22,6 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import Terrain, random_for
 
-MEANS = (0.96, 0.9, 0.8, 0.65, 0.5)  # of κ
 VARIATIONS = (0.1, 0.33, 0.6)  # deviation of κ by its mean slip, 1 - κ
 ERRORS = (-0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.35)  # of the constant κ that a robot is told
 NO_SLIP = "no slip model"  # it is told that μ = κ = 1
@@ -85,10 +84,10 @@ def _settings(loop, control):
     ]
 
 
-def _fields(seeds):
+def _fields(kappas, seeds):
     """{(κ, variation): its fields, one Scenario a seed with its terrain}."""
     fields = {}
-    for place in itertools.product(MEANS, VARIATIONS):
+    for place in itertools.product(kappas, VARIATIONS):
         scenarios = [Scenario(duration_s=_DURATION_S, seed=n, **soil(*place)) for n in seeds]
         path = path_of(scenarios[0])
         fields[place] = [dataclasses.replace(s, terrain=random_for(s, path)) for s in scenarios]
@@ -115,10 +114,11 @@ def _errors(groups):
     return dict(zip(groups, np.split(errors, ends)))
 
 
-def drive(seeds, training_fields):
+def drive(kappas, seeds, training_fields):
     """Drive every loop on every soil with the settings that were best on its training fields.
 
     Args:
+        kappas: Means of κ, one a soil and variation.
         seeds: Of the fields, below 1000.
         training_fields: How many, from seed 1000 on.
 
@@ -126,7 +126,7 @@ def drive(seeds, training_fields):
         {(κ, variation, control, loop): mean true errors (n,)}; a loop is "estimated", NO_SLIP, or
         the error of the κ that it is told.
     """
-    training = _fields(range(_TRAINING, _TRAINING + training_fields))
+    training = _fields(kappas, range(_TRAINING, _TRAINING + training_fields))
     every = [
         (*place, control, loop)
         for place, control in itertools.product(training, CONTROL)
@@ -138,7 +138,7 @@ def drive(seeds, training_fields):
         for number, settings in enumerate(_settings(name[-1], name[-2]))
     }
     means = {name: errors.mean() for name, errors in _errors(tried).items()}
-    fields = _fields(seeds)
+    fields = _fields(kappas, seeds)
     chosen = {}
     for name in every:
         *place, control, loop = name
@@ -243,7 +243,8 @@ def _by_soil(tuned):
     It is the geometric mean over the variations of κ. A rival is told no κ above 1.
     """
     worth = np.log(tuned.set_index(["kappa", "told"])["mean"]).groupby(level=[0, 1]).mean()
-    worth = np.exp(worth).unstack()[[*map(str, ERRORS), NO_SLIP]].sort_index(ascending=False)
+    told = [*map(str, ERRORS), NO_SLIP]
+    worth = np.exp(worth).unstack().reindex(columns=told).sort_index(ascending=False)
     texts = worth.map(lambda ratio: "–" if np.isnan(ratio) else f"{ratio:.2f}")
     texts = texts.rename(columns=_in_words)
     soils = tuned.drop_duplicates(["kappa", "variation"])["kappa"].value_counts()

@@ -113,9 +113,11 @@ def _draw_cells(axes, of_panel):
     told = [*map(str, traction_map.ERRORS), traction_map.NO_SLIP]
     kappas = [*of_panel["kappa"].unique()]
     cells = of_panel.set_index(["kappa", "told"])
-    ratios = of_panel.pivot(index="kappa", columns="told", values="mean").loc[kappas, told]
+    ratios = of_panel.pivot(index="kappa", columns="told", values="mean")
+    ratios = ratios.reindex(kappas, columns=told)
     is_certain = ((cells["high"] < 1) | (cells["low"] > 1)).unstack(fill_value=False)
-    alpha = np.where(is_certain.loc[kappas, told], 1.0, 0.35)
+    is_certain = is_certain.reindex(kappas, columns=told, fill_value=False)
+    alpha = np.where(is_certain, 1.0, 0.35)
     look = dict(cmap=_WORTH, vmin=1 - _SPAN, vmax=1 + _SPAN, aspect="auto")
     is_lost = of_panel.groupby("kappa")["error_m"].first().loc[kappas] > paper.TOLERANCE_M
     image = axes.imshow(ratios.where(~is_lost, axis=0), alpha=alpha, **look)

@@ -25,7 +25,7 @@ _RULES = {  # {process_noise: the rule that picks W}
     "likelihood": "by likelihood",
     "tracking": "by least tracking error",
 }
-_FAIR = tuple(_RULES)[1:]  # by the rules that are ours
+_OTHERS = tuple(_RULES)[1:]  # the rules that are ours
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
 _GAIN = "RHE - EKF"
@@ -212,7 +212,7 @@ def _says_violations(numbers):
     why = (
         f"The paper counts {paper.VIOLATIONS_RHE} violations in its drive. Ours have "
         f"{means['printed']} in the mean with W as printed, and "
-        f"{_listed(f'{means[rule]} ({_RULES[rule]})' for rule in _FAIR)} by the other rules."
+        f"{_listed(f'{means[rule]} ({_RULES[rule]})' for rule in _OTHERS)} by the other rules."
     )
     return short.get(word, "No."), why
 
@@ -231,7 +231,7 @@ def _says_ekf(numbers):
         )
     else:
         why += f"{means['printed']} m."
-    others = _listed(f"{words[rule]} ({_RULES[rule]}, {means[rule]} m)" for rule in _FAIR)
+    others = _listed(f"{words[rule]} ({_RULES[rule]}, {means[rule]} m)" for rule in _OTHERS)
     return short, f"{why} By the other rules the paper's number is {others}."
 
 

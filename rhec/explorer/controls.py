@@ -86,7 +86,7 @@ PROCESS_NOISES = (
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
-_SPEEDS = ("constant over the window", "measured", "slipping tracks")
+_SPEEDS = ("constant in a window", "measured", "slipping tracks")
 _SOIL_UNDER = ("the middle", "each track")
 _FAULTS = (
     ("none", ()),

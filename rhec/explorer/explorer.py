@@ -141,8 +141,9 @@ class Explorer(widgets.VBox):
     def _make_inputs(self, against):
         values = controls.values_of(self.start)
         estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
-        if not isinstance(self.start.estimator, str):
-            estimators.append(("custom", self.start.estimator))
+        for own in (self.start.estimator, against):
+            if own is not None and own not in [key for _, key in estimators]:
+                estimators.append((own if isinstance(own, str) else "custom", own))
         self.inputs = {key: _input(one, values[key]) for key, one in controls.CONTROLS.items()}
         patch = self.patches[-1] if self.patches else controls.NEW_PATCH
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
@@ -440,7 +441,9 @@ def _look(label, tooltip, width, label_width="initial"):
 
 def _list(options, value, label, width_px, tooltip=""):
     look = _look(label, tooltip, f"{width_px}px")
-    return widgets.Dropdown(options=options, value=value, **look)
+    # A list that is told the value None shows nothing, though an option has it.
+    place = [option for _, option in options].index(value)
+    return widgets.Dropdown(options=options, index=place, **look)
 
 
 def _button(text, tooltip):

@@ -408,7 +408,7 @@ def _terms(result, recording, samples, delay):
     noise = result.report.loc[_POSITION.name, ["value", "low", "high"]]
     noise = noise.astype(float).clip(lower=declared_m(recording.rows))
     others = terms.constants(samples) | {
-        "noise of the positions": (*noise, "m"),
+        "GNSS noise": (*noise, "m"),
         "delay of the positions": terms.row(*delay, "s"),
     }
     return terms.table(*terms.slopes(samples), recording.track_width_m, others)

@@ -33,7 +33,7 @@ _EXPLAINED = """\
 hidden 2 s, 10 s: error, in the median, so long after the last position
 in 95 %: share of n hidden positions within their 95 %, which should be 0.95
 NIS: squared innovations by their variance; below 1 the assumed noise is too large
-EKF of (μ, κ): the paper's model, without a lever arm of the antenna; ICR: centres of rotation"""
+EKF of (μ, κ): the same model, without a lever arm of the antenna; ICR: centres of rotation"""
 _ASKED = (
     "If you know them, give the distance of the tracks (--track-width-m), the radius of wheels "
     "whose speeds are in rad/s (--wheel-radius-m), and the factor by which the driver has already "

@@ -132,6 +132,40 @@ def test_estimators(name):
     assert not batch.ok.all()
 
 
+CART = ROBOTS["cart"]
+
+
+def noisy():
+    """Maker and samples of RHEs with noise in the window, of each run and sample its own."""
+    z, rng = measurements(CART), np.random.default_rng(3)
+    sigma_w = CART.sigma_w * rng.uniform(0.3, 9.0, size=(SAMPLES, RUNS, len(CART.sigma_w)))
+    settings = dict(horizon=N, noise_in_window=True)
+
+    def make():
+        return estimator(CART, guess_of(CART), **settings)
+
+    return make, lambda k, run: (z[k, run], sigma_w[k, run])
+
+
+def bounded():
+    """The same of RHEs whose states have bounds."""
+    z = measurements(CART)
+    at_a_wall = rhec.Model(**CART.model, state_bounds={"position_m": (-60.0, 0.9)})
+
+    def make():
+        settings = dict(dt=DT, horizon=N, guess=guess_of(CART)) | CART.estimator
+        return rhec.RHE(model=at_a_wall, **settings)
+
+    return make, lambda k, run: (z[k, run],)
+
+
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("kind", [noisy, bounded])
+def test_estimators_with_noise_in_the_window_or_bounds_of_states(kind):
+    make, samples = kind()
+    assert_same_bits(rhec.batch(make(), RUNS), make, samples)
+
+
 def test_controllers():
     """Of all runs the bounds matter, and one has no finite state for a while."""
     given = problem("skid_steered")

@@ -60,20 +60,6 @@ def test_the_estimate_stays_finite_and_finds_back(virtual_machine, estimator):
         assert estimator is rhec.EKF or not all(oks)
 
 
-@pytest.mark.nightly
-def test_a_batch_finds_back_as_single_estimators_do(virtual_machine):
-    measured = np.stack([drained_and_filled(seed)[1] for seed in SEEDS], axis=1)
-    singles = [rhec.RHE(**settings_of(rhec.RHE)) for _ in SEEDS]
-    together = rhec.batch(singles[0], len(SEEDS))
-    for z in measured:
-        together.prepare()
-        estimates = together.feedback(z)
-        for single, row, x in zip(singles, z, estimates.x):
-            single.prepare()
-            np.testing.assert_array_equal(single.feedback(row).x, x)
-    assert list(together.ok) == [single.ok for single in singles]
-
-
 def test_where_the_model_has_no_slopes_only_the_process_noise_adds_to_the_variance():
     """Not that of the measured inflow, whose effect is unknown there."""
     settings = settings_of(rhec.EKF) | dict(guess=(-1.0, 1.0))

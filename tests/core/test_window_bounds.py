@@ -8,6 +8,7 @@ from robots import BICYCLE, CART, DT, SKID_STEERED
 
 import rhec
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 # Of the state that `instance` shifts: a wall that the robot comes close to.
 NARROW = {
     CART: {"position_m": (-60.0, 0.9)},
@@ -40,32 +41,9 @@ def at_a_bound(robot, states):
     return any(np.abs(np.subtract.outer(row, limits)).min() < 1e-7 for row, limits in pairs)
 
 
-# First: from its first use on, the fixture `virtual_machine` takes the compiler away.
-@pytest.mark.nightly
-def test_runs_of_a_batch_are_single_objects():
-    """To the last bit, iterated and not, with noise in the window and absurd samples."""
-    rng, runs = np.random.default_rng(1), 3
-    guess, _ = instance(CART, rng, 10)
-    z = np.array([instance(CART, rng, 10)[1] for _ in range(runs)])
-    z[1, 5] = np.nan
-    z[2, 6:8] = 1e300
-    singles = [bounded(CART, guess, 4, noise_in_window=True) for _ in range(runs)]
-    batch = rhec.batch(singles[0], runs)
-    for k in range(z.shape[1]):
-        more = dict(iterations=3) if k == 8 else {}
-        call = "solve" if more else "feedback"
-        batch.prepare()
-        found = getattr(batch, call)(z[:, k], **more)
-        assert np.all(found.x[:, 0] <= 0.9)
-        for run, mhe in enumerate(singles):
-            mhe.prepare()
-            for part, single in zip(found, getattr(mhe, call)(z[run, k], **more)):
-                np.testing.assert_array_equal(part[run], single)
-
-
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("robot", NARROW)
-def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy, virtual_machine):
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy):
     """On 20 random windows, with a bound of a state active in a third of them or more."""
     rng, active = np.random.default_rng(0), 0
     for _ in range(20):
@@ -86,7 +64,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy
     assert 7 <= active < 20
 
 
-def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart(virtual_machine):
+def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart():
     """A cart behind the wall: each estimate is finite and within its bounds; later it is right."""
     guess = np.zeros(3)
     mhe = bounded(CART, guess, 5)
@@ -125,7 +103,7 @@ def point_stabilisation():
     return np.array(states), np.array(inputs)
 
 
-def test_mehrez_range_bearing_robot_keeps_its_heading(virtual_machine):
+def test_mehrez_range_bearing_robot_keeps_its_heading():
     """The RMSE of θ in his drive is at most 0.35 in each of 20 drives, by one iteration a sample,
     with his noise, window and bounds of states; IPOPT without an arrival cost reaches 0.35.
     """

@@ -1,14 +1,14 @@
 """Process noise within the window of an RHE, by sample: the Kalman filter on a linear robot, the
-optimum that IPOPT finds on others, and the same live, in a batch and in C.
+optimum that IPOPT finds on others.
 """
 
 import numpy as np
 import pytest
 from helpers import estimator
 from oracles import kalman_filter, mhe_instance, window_by_ipopt
-from robots import BICYCLE, CART, ROBOTS, UNICYCLE, WITH_GYRO
+from robots import BICYCLE, CART, UNICYCLE, WITH_GYRO
 
-import rhec
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
 def noise_of_samples(robot, rng, samples):
@@ -17,37 +17,9 @@ def noise_of_samples(robot, rng, samples):
     return sigma_w * rng.uniform(0.3, 3, (samples, len(sigma_w)))
 
 
-# First: from its first use on, the fixture `virtual_machine` takes the compiler away.
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("name", ["cart", "bicycle", "skid_steered"])
-def test_runs_of_a_batch_have_noise_of_their_own(name):
-    """The same bits as single objects, iterated and not, with absurd samples among them."""
-    robot, rng, runs = ROBOTS[name], np.random.default_rng(3), 5
-    guess, _ = mhe_instance(robot, rng)
-    z = np.array([mhe_instance(robot, rng, 11)[1] for _ in range(runs)])
-    z[1, 5] = np.nan
-    z[2, 6:8] = 1e300
-    sigma_w = np.array([noise_of_samples(robot, rng, z.shape[1]) for _ in range(runs)])
-    singles = [estimator(robot, guess, horizon=6, noise_in_window=True) for _ in range(runs)]
-    batch = rhec.batch(singles[0], runs)
-    for k in range(z.shape[1]):
-        more = dict(iterations=3) if k == 9 else {}
-        call = "solve" if more else "feedback"
-        batch.prepare()
-        found = getattr(batch, call)(z[:, k], sigma_w=sigma_w[:, k], **more)
-        for run, mhe in enumerate(singles):
-            mhe.prepare()
-            one = getattr(mhe, call)(z[run, k], sigma_w=sigma_w[run, k], **more)
-            for part, single in zip(found, one):
-                np.testing.assert_array_equal(part[run], single)
-            assert batch.ok[run] == mhe.ok
-    batch.prepare()
-    assert np.isfinite(batch.feedback(z[:, -1]).x).all()  # of no argument, as of single objects
-
-
 @pytest.mark.parametrize("horizon", [2, 9])
 @pytest.mark.parametrize("exact", [(), (1,), (0, 1, 2)])
-def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, exact, virtual_machine):
+def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, exact):
     """At every sample by one iteration each, a third of the positions missing. The length of the
     window makes no difference. Of some states and samples there is no noise.
     """
@@ -72,7 +44,7 @@ def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, exact, virtual_machi
 
 
 @pytest.mark.parametrize("robot", [CART, BICYCLE, UNICYCLE, WITH_GYRO])
-def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, virtual_machine):
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot):
     """On 5 random windows: the newest estimate, and the states of the window."""
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -91,7 +63,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, virtu
         np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
 
 
-def test_without_an_argument_it_is_the_noise_that_it_was_made_with(virtual_machine):
+def test_without_an_argument_it_is_the_noise_that_it_was_made_with():
     """Also after a sample that had another."""
     guess, z = mhe_instance(BICYCLE, np.random.default_rng(2), 19)
     first, second = (estimator(BICYCLE, guess, horizon=5, noise_in_window=True) for _ in range(2))

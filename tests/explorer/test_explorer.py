@@ -31,6 +31,14 @@ def made(tmp_path):
     return rhec.Explorer(SHORT, folder=tmp_path)
 
 
+def test_its_lists_show_what_drives():
+    start = rhec.Scenario(estimator="augmented_ekf", duration_s=20.0)
+    made = rhec.Explorer(start, against="bounded_ekf")
+    lists = (made.estimator, made.against, made.process_noise)
+    assert [each.label for each in lists] == ["augmented_ekf", "bounded_ekf", "usual"]
+    assert [run.scenario.estimator for run in made.runs] == ["augmented_ekf", "bounded_ekf"]
+
+
 def shown(made):
     """What stands on the screen."""
     screen = made.screen
@@ -258,7 +266,7 @@ def test_a_small_change_is_one_message_and_leaves_the_limits(made, monkeypatch):
     sent = []
     before = limits()
     monkeypatch.setattr(made.screen, "send_state", lambda keys: sent.append({*keys}))
-    made.inputs["q", 0].value = 1.5
+    made.inputs["q", 1].value = 1.5
     (names,) = sent
     # The status has the milliseconds of the run, which may be the same twice.
     assert {"numbers", "line"} <= names and limits() == before

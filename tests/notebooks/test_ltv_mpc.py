@@ -68,11 +68,6 @@ def test_it_is_the_qp_about_the_path(pose, bound):
     assert command(pose, x_ref, bound) == pytest.approx(expected, abs=1e-5)
 
 
-def test_it_follows_a_straight():
-    x_ref = np.array([P[0] * P[1] * DT * np.arange(N + 1), np.zeros(N + 1), np.zeros(N + 1)])
-    assert command((0, 0, 0), x_ref) == pytest.approx(0, abs=1e-12)
-
-
 @pytest.mark.parametrize("backwards", [False, True])
 def test_a_robot_that_knows_the_truth_follows_its_path(backwards):
     """Forwards and in reverse, to a tenth of the tolerance on even soil."""

@@ -42,7 +42,7 @@ NOTEBOOKS = {
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(map_fields=4, map_training=1, seeds=8, consistency_runs=10),
+        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=8, consistency_runs=10),
         ("table_traction_worth", "table_consistency"),
     ),
     "further/tolerance": Small(dict(default_fields=4, fields=4), ("table_tolerance",)),

@@ -28,10 +28,6 @@ from rhec.core.solver.rti import IMPROVE
 
 Runs = Annotated[Whole, Field(ge=1, le=10_000_000)]
 
-# The QP's guesses are at most 2^doublings + 1. All runs try the first number, and those for which
-# it was too small the next one, among themselves; the last number is that of a single object.
-_DOUBLINGS = (2, 4, 6)
-
 _ONE_BY_ONE = (
     "no SIMD lanes, for want of a C++ compiler that can make them: a batch computes one run after "
     "the other, with the same results, some five times slower"
@@ -74,23 +70,22 @@ class _Batch:
     results: ClassVar[tuple[str, ...]]
     first_iterations: ClassVar[int] = 0  # before the feedback of a run's first sample
 
-    def __init__(self, n, iterations, shift, constants, inputs):
+    def __init__(self, n, iteration, shift, constants, inputs):
         """Set up the memory.
 
         Args:
             n: Number of runs.
-            iterations: Programs that take in a sample; each but the last may give up where `ok` is
-                0.
+            iteration: Program that takes in a sample.
             shift: Program that moves the memory on by one sample, or None.
             constants: {name: array} of inputs that all runs share and that never change.
             inputs: {name: shape of one run} of the other inputs.
         """
         self.n = n
-        self._iterations = iterations
+        self._iteration = iteration
         self._shift = shift
         self._shapes = inputs
-        self._width = iterations[-1].lanes
-        sizes = iterations[-1].sizes | (shift.sizes if shift else {})
+        self._width = iteration.lanes
+        sizes = iteration.sizes | (shift.sizes if shift else {})
         self._arguments = {
             name: shared(np.ravel(constants[name], order="F"), self._width)
             for name in sizes
@@ -98,7 +93,7 @@ class _Batch:
         }
         self._memory = zeros(n, sizes["memory"], self._width)
         self._spare = zeros(n, sizes["memory"], self._width)
-        self._results = self._zeros_of(iterations[-1], self.results)
+        self._results = self._zeros_of(iteration, self.results)
         self._is_new = np.ones(n, dtype=bool)  # whether a run's next sample is its first
         self._is_prepared = False
 
@@ -156,22 +151,9 @@ class _Batch:
             return
         if len(new) and self.first_iterations:
             self._improve(new, self.first_iterations)
-        self._iterate()
-
-    def _iterate(self):
-        """Do one iteration of all runs.
-
-        Lanes wait for the slowest of them. So all runs try an iteration with few guesses first, and
-        the runs that need more of them go on among themselves.
-        """
         arguments = self._arguments | dict(memory=self._memory)
         results = self._results | dict(memory=self._spare)
-        first, *longer = self._iterations
-        first.evaluate(len(self._memory), arguments, results)
-        for program in longer:
-            unsolved = np.flatnonzero(self._get("ok") != 1)
-            if len(unsolved):
-                evaluate_some(program, unsolved, arguments, results)
+        self._iteration.evaluate(len(self._memory), arguments, results)
         self._memory, self._spare = self._spare, self._memory
 
     def _improve(self, runs, iterations):
@@ -216,13 +198,10 @@ def _checked_input(name, value, n, shape):
 class _IteratedBatch(_Batch):
     """A batch of the real-time iteration."""
 
-    def __init__(self, n, build, problem, source, inputs, doublings=()):
+    def __init__(self, n, build, problem, source, inputs):
         parts = [(problem, part) for part in ("iteration", "shift", IMPROVE)]
-        whole, shift, self._improvement = _programs(build, parts)
-        # A run alone waits for no other.
-        shorter = [(problem, "iteration", each) for each in doublings if whole.lanes > 1]
-        iterations = [*_programs(build, shorter), whole]
-        super().__init__(n, iterations, shift, source.iteration.arrays, inputs)
+        iteration, shift, self._improvement = _programs(build, parts)
+        super().__init__(n, iteration, shift, source.iteration.arrays, inputs)
         names = ("converged", "done", "penalty_after")
         self._improved = self._zeros_of(self._improvement, names)
 
@@ -267,12 +246,9 @@ class RHCBatch(_IteratedBatch):
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
         inputs |= dict(u_ref=(problem.n_u, problem.N))
         self._first_values = functools.partial(rhc.init, source.structure, settings=source.settings)
-        doublings = _DOUBLINGS
         if source.structure is not problem:
-            doublings = ()  # they are those of the active set, which the interior point has not
             inputs |= dict(y_ref=source.structure.references["y_ref"])
-        build = functions.build_controller
-        super().__init__(n, build, source.structure, source, inputs, doublings)
+        super().__init__(n, functions.build_controller, source.structure, source, inputs)
         if "y_ref" in inputs:
             self._arguments["y_ref"] = shared(np.zeros(np.prod(inputs["y_ref"])), self._width)
 
@@ -479,7 +455,7 @@ class EKFBatch(_EstimatorBatch):
         self._first = source.first_memory
         inputs = dict(z_N=(len(source.model.outputs),))
         (program,) = _programs(functions.build_filter, [(source.model, source.dt_s)])
-        super().__init__(n, [program], None, source.settings, inputs)
+        super().__init__(n, program, None, source.settings, inputs)
 
     def feedback(self, z: Any) -> Estimates:
         """Estimate from the newest measurements, as single objects do.

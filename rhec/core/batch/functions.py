@@ -20,12 +20,9 @@ _ITERATION = ("linearise", "feedback", "expand")
 _IMPROVED = ("converged", "done", "penalty_after")  # besides, by an iteration with a line search
 
 
-def build_controller(horizon, part, *doublings):
-    """Build a part, "shift", "iteration" or "improve", of the RHC of a Horizon.
-
-    The other arguments are those of `rhc.build_phases`.
-    """
-    phases = rhc.build_phases(horizon, *doublings)
+def build_controller(horizon, part):
+    """Build a part, "shift", "iteration" or "improve", of the RHC of a Horizon."""
+    phases = rhc.build_phases(horizon)
     if part == IMPROVE:
         return _build_improve(phases, horizon.memory, ("s", "u"), CONTROLLER_RESULTS)
     return _build(phases, horizon.memory, part, CONTROLLER_RESULTS)

@@ -17,7 +17,6 @@ from rhec.core.controller.horizon import (
 )
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.line_search import line_search
-from rhec.core.solver.pivoting import DOUBLINGS
 from rhec.core.solver.stage_qp import stage_qp
 
 
@@ -26,19 +25,18 @@ class PlainStages:
 
     Args:
         horizon: The Horizon.
-        doublings: Of the QP's search, see `rhec.core.solver.pivoting`, where it is by stages.
     """
 
     tolerance = ("g", "least", "most", "multipliers")
     taken = "ok"
     reported = ()
 
-    def __init__(self, horizon, doublings=DOUBLINGS):
+    def __init__(self, horizon):
         self.loop_symbols = horizon.loop_symbols
         self.roll_out = build_roll_out(horizon)
         self.search = _build_search(horizon) if horizon.damped else None
         self._horizon = horizon
-        self._qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon, doublings)
+        self._qp = horizon.qp.build(horizon) if horizon.qp else StagewiseQP(horizon)
         self._gradient = _build_gradient(horizon, self.roll_out)
 
     def prepare(self, inputs):
@@ -72,11 +70,11 @@ class PlainStages:
 class StagewiseQP:
     """The QP in the commanded inputs by a Riccati recursion over its stages."""
 
-    def __init__(self, horizon, doublings):
+    def __init__(self, horizon):
         self.horizon = horizon
         weights = (ca.Sparsity.diag(n) for n in (horizon.n_x, len(horizon.command)))
         stages = (*plain_stages(horizon), *weights)
-        self._solve = stage_qp(horizon.N, *stages, horizon.loop_symbols, doublings)
+        self._solve = stage_qp(horizon.N, *stages, horizon.loop_symbols)
 
     def prepare(self, D, B, Q, QN, R):
         """Return no outputs: the recursion needs the active set, so there is nothing to prepare."""

@@ -39,15 +39,14 @@ Bounds = SkipValidation[dict[str, tuple[float, float] | Bound] | None]
 OutputsByName = SkipValidation[tuple[str, ...] | dict[str, Callable] | None]
 
 
-def build_phases(horizon, *doublings):
+def build_phases(horizon):
     """Build the phases {name: Function}, as `rhec.core.controller.phases` says.
 
     Args:
         horizon: A Horizon, or a ConstrainedHorizon, whose step also returns the QP's `iterations`.
-        doublings: Those of the QP of a Horizon, see `rhec.core.solver.pivoting`, if not the usual.
     """
     make_stages = PlainStages if horizon.plain is horizon else ConstrainedStages
-    return phases.build(horizon, make_stages(horizon, *doublings))
+    return phases.build(horizon, make_stages(horizon))
 
 
 def refuse_before(structure, u_before):

@@ -11,8 +11,8 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, in_turn
 
-DOUBLINGS = 8
-MAX_SWEEPS = 2**DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
+_DOUBLINGS = 8
+MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to three are usual
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
@@ -33,14 +33,14 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
     return proposed, first_exchange, n_infeasible
 
 
-def search_active_set(N, solve, problem, doublings):
+def search_active_set(N, solve, problem):
     """Build a Function (problem …, active) -> (solved, x, multipliers); the last two are rows of N.
 
     `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
     multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
     guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
-    the solution is not finite. If the search gives up, after 2^doublings + 1 guesses, all three
-    results are 0.
+    the solution is not finite. If the search gives up, after MAX_SWEEPS guesses, all three results
+    are 0.
     """
     row = (1, N)
     one = (1, 1)
@@ -51,7 +51,7 @@ def search_active_set(N, solve, problem, doublings):
 
     then = in_turn("stage_qp_search", shapes, state, lambda inputs, after: after["wrong"] <= 0)
     search = pivot
-    for doubling in range(doublings):
+    for doubling in range(_DOUBLINGS):
         search = then(doubling, search, search)
     search = then("whole", pivot, search)
 

@@ -15,10 +15,10 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every
 from rhec.core.solver.gauss_newton import symmetric
-from rhec.core.solver.pivoting import DOUBLINGS, correct_guess, search_active_set
+from rhec.core.solver.pivoting import correct_guess, search_active_set
 
 
-def stage_qp(N, A_0, D, B, Q, R, loop_symbols, doublings=DOUBLINGS):
+def stage_qp(N, A_0, D, B, Q, R, loop_symbols):
     """Build the Function (D, B, Q, QN, R, g, lower, upper, active) -> (solved, x, multipliers).
 
     The Function takes D and B of all intervals side by side. Its rows g, lower, upper, active, x
@@ -34,7 +34,6 @@ def stage_qp(N, A_0, D, B, Q, R, loop_symbols, doublings=DOUBLINGS):
         Q: Sparsity (n, n) of the states' weights, Q and QN.
         R: Sparsity (m, m) of the inputs' weight.
         loop_symbols: SX or MX, for the Function that repeats a stage.
-        doublings: That of `search_active_set`.
     """
     n, m = B.shape
     row = (1, N * m)
@@ -70,7 +69,7 @@ def stage_qp(N, A_0, D, B, Q, R, loop_symbols, doublings=DOUBLINGS):
         corrected = dict(corrected=proposed, first_corrected=first_exchange)
         return dict(x=u, multipliers=multipliers, **corrected, wrong=wrong)
 
-    return search_active_set(N * m, solve, problem, doublings)
+    return search_active_set(N * m, solve, problem)
 
 
 def _build_backward(A_0, D_i, B_i, Q_i, R_i):
