@@ -4,6 +4,7 @@ estimated; and what a log may be is not.
 The logs are simulated. With RHEC_LOGS, a folder of recorded logs, those must be healthy, too.
 """
 
+import functools
 import json
 import os
 import re
@@ -185,10 +186,15 @@ WRONG = {
 }
 
 
+@functools.cache
+def findings_of(what):
+    return rhec.doctor(WRONG[what][0]).findings
+
+
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_wrong_is_named_once(what):
-    log, *patterns = WRONG[what]
-    findings = rhec.doctor(log).findings
+    _, *patterns = WRONG[what]
+    findings = findings_of(what)
     said = [finding.fact for finding in findings]
     assert len(said) == len(patterns), said
     assert all(map(re.search, patterns, said)), said
@@ -207,7 +213,7 @@ def nothing_estimated(monkeypatch):
 def test_a_replay_refuses_for_the_first_error_and_warns(what, nothing_estimated):
     """Before anything is estimated, unless it is told to trust the log."""
     log = WRONG[what][0]
-    serious = [each for each in rhec.doctor(log).findings if each.severity != "note"]
+    serious = [each for each in findings_of(what) if each.severity != "note"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises((ValueError, UserWarning, StopIteration, RuntimeError)) as stopped:
@@ -228,7 +234,7 @@ def test_the_page_says_what_is_said():
     assert len(told) > 20
     for what, words in told.items():
         pattern = re.escape(words).replace("…", ".*")
-        said = [finding.fact for finding in rhec.doctor(WRONG[what][0]).findings]
+        said = [finding.fact for finding in findings_of(what)]
         assert any(re.search(pattern, fact) for fact in said), (what, said)
 
 

@@ -144,14 +144,11 @@ def test_what_exists_is_kept(capsys, tmp_path, make, words):
 @may_be_unsure
 def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path, monkeypatch):
     """As if the disk were full in the middle of it."""
-    recorded = tmp_path / "recorded.csv"
-    recorded_log(duration_s=30.0, noise_m=0.02).to_csv(recorded, index=False)
     run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
     replay = ["replay", str(log_file), "--estimator", "ekf", "--folder", "estimates"]
-    calibrate = ["calibrate", str(recorded), "--yaml", "robot.yaml"]
     campaign = "campaign -p duration_s 8 --seeds 1 --workers 1 --folder runs".split()
     monkeypatch.chdir(tmp_path)
-    for words in (run, replay, calibrate, campaign):
+    for words in (run, replay, campaign):
         assert main(words) == 0
     whole = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
 
@@ -161,7 +158,7 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path
 
     writers = [(pd.DataFrame, "to_csv", run), (pd.DataFrame, "to_csv", replay)]
     writers += [(pd.DataFrame, "to_parquet", replay), (Figure, "savefig", run)]
-    writers += [(Path, "write_text", calibrate), (pd.DataFrame, "to_parquet", campaign)]
+    writers += [(pd.DataFrame, "to_parquet", campaign)]
     for owner, name, words in writers:
         with monkeypatch.context() as failing:
             failing.setattr(owner, name, half)
