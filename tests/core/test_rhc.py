@@ -7,6 +7,7 @@ from oracles import N, drive, rhc_by_ipopt, rhc_instance, rhc_weights
 from robots import DT, ROBOTS
 
 import rhec
+from notebooks.further import gallery
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
@@ -117,6 +118,19 @@ def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
     rhc.prepare()
     rhc.feedback(**problem | {name: np.full(np.shape(problem[name]), np.nan)})
     assert not rhc.ok and np.isnan(rhc.kkt)
+
+
+def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
+    """States of a pendulum that no plan expects, so that the search of the active set gives up."""
+    pendulum = gallery.pendulum()
+    rhc = rhec.RHC(**pendulum.options | dict(dt=0.05))
+    rng = np.random.default_rng(2)
+    solved = []
+    for x in rng.normal(size=(60, 4)) * (1.0, 3.0, 2.0, 2.0):
+        rhc.step(x, (), np.zeros(4), (0.0,))
+        assert np.isfinite(rhc.kkt) == rhc.ok
+        solved.append(rhc.ok)
+    assert 0 < sum(solved) < 60
 
 
 def test_without_a_reference_of_inputs_the_last_plan_goes_on():

@@ -25,8 +25,10 @@ def test_the_noise_of_positions_is_found_at_every_rate(sigma_m, rate_hz):
 
 def test_positions_that_are_missing_and_a_robot_that_stands_do_not_hide_the_noise():
     """While it stands, a receiver may smooth its positions."""
-    log = recorded_log(10.0, 200.0, noise_m=0.05, seed=4)
+    log = recorded_log(10.0, 200.0)
+    log[["x_m", "y_m", "speed_mps"]] *= 5.0
     rng = np.random.default_rng(0)
+    log[["x_m", "y_m"]] += 0.05 * rng.standard_normal((len(log), 2))
     log.loc[rng.random(len(log)) < 0.3, ["x_m", "y_m"]] = np.nan
     stands = log.iloc[[900] * 4000].assign(speed_mps=0.0, yaw_rate_radps=0.0)
     stands[["x_m", "y_m"]] = 1e-4 * rng.standard_normal((len(stands), 2))

@@ -349,6 +349,25 @@ def test_a_table_has_no_topics_and_no_frames(tmp_path):
             rhec.logs.read(written(tmp_path, LOG), **{name: given})
 
 
+def test_the_attributes_of_a_file_are_not_those_of_its_log(tmp_path):
+    log = LOG.copy()
+    log.attrs |= dict(origin=[1.0, 2.0, 3.0], lever_arm_m=[9.0, 9.0])
+    log.to_parquet(tmp_path / "log.parquet")
+    assert {*rhec.logs.read(tmp_path / "log.parquet").attrs} == {"inferred"}
+
+
+def test_an_estimate_that_has_seen_the_encoders_is_no_position(tmp_path):
+    messages = []
+    for topic in ("/odometry/filtered", "/wheels"):
+        kind = "PoseStamped" if "filtered" in topic else "TwistStamped"
+        make = pose_stamped if "filtered" in topic else twist_stamped
+        messages.append((topic, f"geometry_msgs/msg/{kind}", START_NS, make(1, 2)))
+    file = write_bag(tmp_path, "mcap", messages)
+    with pytest.raises(ValueError, match="those of /odometry/filtered, an estimate that has seen"):
+        rhec.logs.read(file)
+    assert rhec.logs.read(file, topics=("/odometry/filtered", "/wheels"))["x_m"].tolist() == [1]
+
+
 def test_a_path_serves_where_a_log_does(tmp_path):
     file = tmp_path / "drive.csv"
     recorded_log(5.0, 30.0, noise_m=0.02).to_csv(file, index=False)

@@ -52,6 +52,15 @@ def test_a_smoothed_estimate_depends_on_later_measurements(smoothed):
     assert difference[LOG["t_s"] < 60].max() < 0.005
 
 
+def test_what_the_estimator_rejects_does_not_count_later():
+    wild = LOG.copy()
+    wild.loc[[300, 301, 400], ["x_m", "y_m"]] += 5.0
+    result = rhec.replay(wild, **START)
+    assert not result["position_accepted"][[300, 301, 400]].any()
+    off = np.hypot(result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"])
+    assert off[290:410].max() < 0.2
+
+
 @pytest.mark.parametrize("arguments", [dict(speed_model="parameter"), dict(estimator="ekf")])
 def test_other_estimators_cannot_be_smoothed(arguments):
     with pytest.raises(ValueError, match="smooth was True; only the estimator 'rhe'"):
