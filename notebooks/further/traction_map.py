@@ -38,7 +38,7 @@ _ROUNDING = 1e-9
 _PAYS = 0.9  # the worth of an effort: 10 % of the error
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Told(Terrain):
     """Soil of whose mean traction a robot with fixed traction is told this (μ, κ) instead."""
 

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from rhec.core import runner
-from rhec.core._casadi import compiled
+from rhec.core._casadi import early
 from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
 from rhec.simulation.columns import MEASUREMENTS, POSE
@@ -44,7 +44,7 @@ def run_estimator_on_all(scenario, runs, *outputs):
 
 def run_estimator(scenario, run, *outputs):
     """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
-    functions = compiled.load(_build, outputs, Choice.of(scenario))
+    functions = early.load(_build, outputs, Choice.of(scenario))
     return runner.record(functions, *_arguments(functions["step"], scenario, run))
 
 

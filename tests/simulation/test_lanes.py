@@ -152,6 +152,18 @@ def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
     assert chosen.estimator == SMALL.estimator
 
 
+def test_lanes_are_compiled_for_fewer_runs_beside_those_of_another_loop(monkeypatch):
+    """Loops share what takes longest to compile, so a loop needs fewer runs beside another one."""
+    fewer = [dataclasses.replace(SMALL, estimator="ekf", seed=seed) for seed in range(10)]
+    more = [dataclasses.replace(SMALL, seed=seed) for seed in range(15)]
+    monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
+    chosen = [
+        [one.estimator for one in batch.one_per_structure(scenarios, batch.count_samples(SMALL))]
+        for scenarios in (fewer, more, [*fewer, *more])
+    ]
+    assert chosen == [[], [], ["ekf", SMALL.estimator]]
+
+
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
     good = [*unlike(SMALL)][:2]
     alone = []
@@ -195,12 +207,13 @@ def test_a_helper_on_one_line_takes_no_other_helper_with_it():
     assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 
-def test_what_differs_in_its_seed_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
+def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
     own = rhec.Terrain.uniform(0.9, 0.7), rhec.Terrain.uniform(0.7, 0.9)
-    kinds = [dict(q=(1.0, 1.0, 10.0)), *(dict(terrain=soil) for soil in own)]
+    kinds = [dict(q=(1.0, 1.0, 10.0)), dict(terrain=own[0])]
     kinds += [dict(start_offset_m=offset) for offset in (0.0, -0.0)]
+    every = [*kinds, dict(terrain=own[1])]
     scenarios = [
-        dataclasses.replace(SMALL, **kind, seed=seed) for seed in range(3) for kind in kinds
+        dataclasses.replace(SMALL, **kind, seed=seed) for seed in range(3) for kind in every
     ]
     set_up, made = closed_loop.set_up, []
     monkeypatch.setattr(closed_loop, "set_up", lambda each: made.append(each) or set_up(each))

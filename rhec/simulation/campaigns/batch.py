@@ -19,8 +19,11 @@ from rhec.simulation.blocks import blocks_of
 from rhec.simulation.campaigns.store import PLAIN
 from rhec.tracked_robot import terrain
 
-# Compiling lanes takes one to four seconds and pays from this number of samples per loop structure.
+# Compiling lanes takes up to eight seconds and pays from this number of samples per loop structure.
 _WORTH_COMPILING = 150_000
+# Loops share the parts that take longest to compile. So where those of a campaign reach that number
+# together, lanes pay from this part of it: they take a second or two, as the loop of one run does.
+_PART_OF_A_LOOP = 1 / 3
 # Loading compiled lanes pays from this number of samples per loop structure.
 _WORTH_LOADING = 10_000
 # Samples in one task. A task takes about a second, which is the work that an interruption loses.
@@ -35,13 +38,14 @@ _MAX_SAMPLES_IN_MEMORY = 200_000
 _NO_SETUP = ValueError, MemoryError
 
 
-def _all_but_seed(scenario):
-    """Return a text that is equal for scenarios that differ only in their seeds.
+def _all_but_soil(scenario):
+    """Return a text that is equal for scenarios that differ only in their seeds and terrains.
 
-    Arrays and other objects are compared by identity, so the text is valid only while the scenarios
-    exist.
+    Terrains must have equally large grids. Arrays and other objects are compared by identity, so
+    the text is valid only while the scenarios exist.
     """
-    values = (vars(scenario) | dict(seed=None)).values()
+    soil = scenario.terrain and terrain.common_shape(scenario.terrain)
+    values = (vars(scenario) | dict(seed=None, terrain=soil)).values()
     return repr([value if type(value) in PLAIN else id(value) for value in values])
 
 
@@ -58,7 +62,7 @@ def _loops(scenarios):
     families = {}
     loops = {}
     for scenario in scenarios:
-        family = _all_but_seed(scenario)
+        family = _all_but_soil(scenario)
         if family not in families:
             loop = blocks_of(scenario)
             families[family] = loops.setdefault(loop, loop)
@@ -79,7 +83,7 @@ def split_into_tasks(scenarios, samples):
     """Yield parts of {key: scenario} with about this number of samples.
 
     Runs that share work become neighbours: they are sorted by groups of seeds, which share fields
-    and noise, then by loop, then by all parameters except the seed, and else keep their order.
+    and noise, then by loop, then by all parameters except seed and soil, and else keep their order.
     """
     ordered = _ordered(scenarios)
     # Task number of a run = number of samples of all runs before it // size of a task.
@@ -101,7 +105,7 @@ def _ordered(scenarios):
     for scenario, blocks in zip(scenarios.values(), _loops(scenarios.values())):
         seed = seeds.setdefault(scenario.seed, len(seeds))
         loop = loops.setdefault(blocks, len(loops))
-        family = families.setdefault(_all_but_seed(scenario), len(families))
+        family = families.setdefault(_all_but_soil(scenario), len(families))
         for column, number in zip(numbers, (seed // _SEEDS_TOGETHER, loop, family, seed)):
             column.append(number)
     keys = list(scenarios)
@@ -110,13 +114,21 @@ def _ordered(scenarios):
 
 
 def one_per_structure(scenarios, mean_samples):
-    """Return one scenario for each loop of which compiling the lanes pays."""
+    """Return one scenario for each loop of which compiling the lanes pays.
+
+    Args:
+        scenarios: Those of the whole campaign.
+        mean_samples: Their `mean_samples_per_structure`; all loops get lanes if it is large.
+    """
     one = {}
     samples = collections.Counter()
     for scenario, loop in zip(scenarios, _loops(scenarios)):
         one[loop] = scenario
         samples[loop] += count_samples(scenario)
-    return [one[key] for key in one if max(samples[key], mean_samples) >= _WORTH_COMPILING]
+    if sum(samples.values()) < _WORTH_COMPILING:
+        return []
+    least = 0 if mean_samples >= _WORTH_COMPILING else _PART_OF_A_LOOP * _WORTH_COMPILING
+    return [one[key] for key in one if samples[key] >= least]
 
 
 def compile_lanes(scenario):
@@ -147,7 +159,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
     soil_settings = cached(terrain.settings)
     # A group takes as long as its longest run: with the longest first, runs of a length meet.
     for key, scenario in sorted(scenarios.items(), key=lambda item: -count_samples(item[1])):
-        family = _all_but_seed(scenario)
+        family = _all_but_soil(scenario)
         try:
             setup = setups[family] = _set_up(scenario, setups.get(family), soil_settings)
         except _NO_SETUP:
@@ -169,8 +181,8 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
 def _set_up(scenario, relative, soil_settings):
     """Return `closed_loop.set_up(scenario)`.
 
-    relative: The Setup of a scenario that differs only in the seed, or None. It is reused except
-    for the soil.
+    relative: The Setup of a scenario that differs only in seed and soil, or None. It is reused
+    except for the soil.
     """
     if relative is None:
         return closed_loop.set_up(scenario)
