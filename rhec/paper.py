@@ -1,7 +1,7 @@
 """The paper's constants and reported results, each with its place. SI units; angles in radians.
 
 Where the paper gives no number, the value is this project's choice and stands under "Not in the
-paper" (interpretations R3 and R4).
+paper" (interpretations G3 and G4).
 """
 
 # Sec. Introduction: the row and the tolerance
@@ -55,7 +55,7 @@ STEP_MAX_MS = 2.8534
 
 # Not in the paper
 TRACK_WIDTH_M = 0.40  # b: 0.48 m outside, tracks of about 0.08 m
-SPEED_MPS = 0.5  # R3: chosen since Scenario A looks here as the paper describes it
+SPEED_MPS = 0.5  # G3: chosen since Scenario A looks here as the paper describes it
 ROW_LENGTH_M = 30.0
 HEADLAND_RADIUS_M = 10 * ROW_SPACING_M  # into the 20th row over: 70 % of the yaw rate bound
 START_OFFSET_M = 1.0  # "starts off-track"

@@ -243,7 +243,7 @@ def _condition(entry, expressions, process_noise, instead):
 
 def _departures_of(entry, departures):
     """The departures that a claim is judged under, by name in claims.toml, the RHE's W first."""
-    # The arrival mean (R7) belongs to the RHE alone, and to every claim on it.
+    # The arrival mean (G7) belongs to the RHE alone, and to every claim on it.
     names = entry.get("departures", [])
     if "rhe" in [*entry.get("runs", []), *entry.get("logs", [])]:
         names = ["smoothed", *names]

@@ -1,4 +1,4 @@
-"""Process noise W from training seeds, never from the paper's results: by likelihood (R1, R2), by
+"""Process noise W from training seeds, never from the paper's results: by likelihood (G1, G2), by
 consistency and by tracking, each for RHE and EKF alike. Seeds below 1000 are never used.
 
 All estimators are tuned by the same rules, in the default world and with the arrival mean that

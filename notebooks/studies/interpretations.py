@@ -1,4 +1,4 @@
-"""Audit of the interpretations R1 to R16 (docs/interpretations.md): what each way to read the paper
+"""Audit of the interpretations G1 to G16 (docs/interpretations.md): what each way to read the paper
 does to the estimators, by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
@@ -211,24 +211,24 @@ def likelihood_profiles(factors, seeds=3):
 
 # One interpretation at a time
 
-# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); R11, R12
-# and R14 concern what is reported, not what is driven
+# id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); G11, G12
+# and G14 concern what is reported, not what is driven
 INTERPRETATIONS = {
-    "R3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
-    "R3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
-    "R3 c": ("start 2 m off", dict(start_offset_m=2.0)),
-    "R3 d": ("headland of 10 m radius", dict(headland_radius_m=10.0)),
-    "R4 a": ("GNSS: half of it slow", dict(gnss_slow_share=0.5)),
-    "R4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
-    "R5": ("window of N terms", dict(estimation_horizon=14), dict()),
-    "R6, R13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
-    "R7": ("prior mean smoothed", dict(arrival_mean="smoothed"), dict()),
-    "R8": ("path's yaw rate as reference", dict(input_reference="curvature")),
-    "R9": ("backwards, λ = 1", dict(backwards=True)),
-    "R10": ("command one sample late", dict(command_delay=1)),
-    "R15 a": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
-    "R15 b": ("prepared anew with ν, μ, κ", dict(traction_timing="prepared_anew")),
-    "R16": ("ω of the interval after it", dict(yaw_rate_interval="after")),
+    "G3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
+    "G3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
+    "G3 c": ("start 2 m off", dict(start_offset_m=2.0)),
+    "G3 d": ("headland of 10 m radius", dict(headland_radius_m=10.0)),
+    "G4 a": ("GNSS: half of it slow", dict(gnss_slow_share=0.5)),
+    "G4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
+    "G5": ("window of N terms", dict(estimation_horizon=14), dict()),
+    "G6, G13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
+    "G7": ("prior mean smoothed", dict(arrival_mean="smoothed"), dict()),
+    "G8": ("path's yaw rate as reference", dict(input_reference="curvature")),
+    "G9": ("backwards, λ = 1", dict(backwards=True)),
+    "G10": ("command one sample late", dict(command_delay=1)),
+    "G15 a": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
+    "G15 b": ("prepared anew with ν, μ, κ", dict(traction_timing="prepared_anew")),
+    "G16": ("ω of the interval after it", dict(yaw_rate_interval="after")),
 }
 QUANTITIES = {
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -252,7 +252,7 @@ def _scenarios(baseline, seeds, interpretations):
 def one_at_a_time(baseline, seeds, folder=None):
     """How much each interpretation moves the RHE's results from the baseline's, paired by seed.
 
-    R1 and R2 are the other W, for one estimator at a time.
+    G1 and G2 are the other W, for one estimator at a time.
 
     Args:
         baseline: Its process noise, "printed" or "likelihood".
@@ -266,8 +266,8 @@ def one_at_a_time(baseline, seeds, folder=None):
     other = "likelihood" if baseline == "printed" else "printed"
     interpretations = {
         "baseline": ("baseline", dict()),
-        "R1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
-        "R2": (f"RHE: W {other}", dict(process_noise=other), dict()),
+        "G1": (f"EKF: W {other}", dict(), dict(process_noise=other)),
+        "G2": (f"RHE: W {other}", dict(process_noise=other), dict()),
     } | INTERPRETATIONS
     runs = run_sets.drive(_scenarios(baseline, seeds, interpretations), folder)
     results = {}
@@ -276,9 +276,9 @@ def one_at_a_time(baseline, seeds, folder=None):
         advantage_m = rhe.mean_error_true_m - runs[name, "ekf"].mean_error_true_m
         results[name] = rhe.assign(advantage_m=advantage_m)
     usual = results["baseline"]
-    results["R14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
+    results["G14"] = usual.assign(mean_error_m=usual["mean_error_from_start_m"])
     rows = []
-    for name, (words, *_) in (interpretations | {"R14": ("errors from the start",)}).items():
+    for name, (words, *_) in (interpretations | {"G14": ("errors from the start",)}).items():
         for column, quantity in QUANTITIES.items():
             value = statistics.mean(results[name][column])
             moved = statistics.difference(results[name][column], usual[column])

@@ -93,7 +93,7 @@ PRIORS = {
     "gnss_slow_time_s": Prior(30.0, 1000.0, True, _CORRELATION),
     "encoder_sigma_mps": Prior(0.005, 0.035, False, "the paper (accuracy 0.035 m/s)"),
     "speed_sigma_mps": Prior(0.0, 0.05, False, "the paper (σ_ν = 0.05 m/s)"),
-    "command_delay": Prior(0, 1, False, "the paper, eq. (13), either reading (R10)"),
+    "command_delay": Prior(0, 1, False, "the paper, eq. (13), either reading (G10)"),
     "row_length_m": Prior(15.0, 30.0, False, "judged; the paper gives no length"),
     "rows": Prior(1.2, 2.2, False, "judged: straight and curved lines, no length given"),
     "turn_demand": Prior(0.6, 0.9, False, "judged: headlands that the yaw rate's bound allows"),
@@ -103,7 +103,7 @@ PRIORS = {
 }
 _DISCRETE = ("command_delay",)
 
-# Fields of Scenario; R7 belongs to the printed W, since the others were tuned with the filter's.
+# Fields of Scenario; G7 belongs to the printed W, since the others were tuned with the filter's.
 W_RHE = {
     "printed": dict(process_noise="printed"),
     "smoothed": dict(process_noise="printed", arrival_mean="smoothed"),
@@ -422,7 +422,7 @@ def statistics_of(drives, w_rhe, w_ekf, counts="violations"):
     the paper says in words is a shortfall: 0 where it holds, else how far the drive falls short.
     Estimates are close to the bound in the share of samples in which both are at least 0.9. Q¹
     settles at least twice as late as Q³, or not on the first row at all; Q² overshoots at least
-    twice as far as Q³. `counts` are "violations", in samples, or "excursions" (R17).
+    twice as far as Q³. `counts` are "violations", in samples, or "excursions" (G17).
     """
     rhe, ekf, q1, q2 = (
         drives[name] for name in (f"rhe_{w_rhe}", f"ekf_{w_ekf}", f"q1_{w_rhe}", f"q2_{w_rhe}")
@@ -546,7 +546,7 @@ def sensitivity(drives, unit, n=2000, seed=0):
         seed: Of the draws.
 
     Returns:
-        DataFrame, one row a reading of R17 and one of PRIORS_ON_PRINTED: the probability of each W
+        DataFrame, one row a reading of G17 and one of PRIORS_ON_PRINTED: the probability of each W
         of the RHE and of the printed one of the EKF, medians with 90 % intervals of a few unknowns,
         and how many worlds are effectively behind it.
     """

@@ -696,7 +696,7 @@ def replay(
             smoothed as well.
         **fields: Parameters of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
             speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The default
-            speed_model is "slipping": "input" (interpretation R13) with noise that grows with the
+            speed_model is "slipping": "input" (interpretation G13) with noise that grows with the
             motion. With it the estimator "rhe" uses the gyro and the heading of the log unless
             sensors says otherwise, and without a sigma_v the log is asked for the noise of the
             positions.

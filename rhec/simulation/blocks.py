@@ -168,7 +168,7 @@ def _compensated(control):
 @_blocks
 def _motion(is_delayed, slips_sideways):
     """The robot's motion until the next sample."""
-    # Eq. (13): the first input is applied at once, or one sample later (interpretation R10).
+    # Eq. (13): the first input is applied at once, or one sample later (interpretation G10).
     applied = "command@last" if is_delayed else "command"
     yield Block(
         robot.drive,

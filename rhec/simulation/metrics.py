@@ -16,22 +16,22 @@ SETTLING_SAMPLES = round(5 / paper.DT_S)
 # the end of the 5 s that make the robot settled; of a run that never settles, all samples.
 METRICS = {
     "settling_time_s": ("s", "when the true error begins to stay below 0.12 m for 5 s; or NaN"),
-    "mean_error_m": ("m", "mean of `error_m` where there is a position, as in the paper (R11)"),
+    "mean_error_m": ("m", "mean of `error_m` where there is a position, as in the paper (G11)"),
     "mean_error_true_m": ("m", "mean of `error_true_m`"),
     "max_error_true_m": ("m", "largest `error_true_m`"),
     # The reference is the corner of a robot that stands in the middle of its row, not turned.
     "max_corner_error_true_m": ("m", "on straights: how much nearer to the crop a corner is"),
     "mean_speed_mps": ("m/s", "mean of the tracks' speed, as an absolute value"),
-    "violations": ("samples", "samples on straights with `error_m` above 0.12 m (R14)"),
+    "violations": ("samples", "samples on straights with `error_m` above 0.12 m (G14)"),
     "violations_true": ("samples", "samples on straights with `error_true_m` above 0.12 m"),
     "rms_mu": ("-", "RMS error of the estimated μ"),
     "rms_kappa": ("-", "RMS error of the estimated κ"),
     "rms_yaw_rad": ("rad", "RMS error of the estimated yaw"),
-    "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (R14)"),
+    "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (G14)"),
     "overshoot_m": ("m", "on the first row: the largest distance beyond the path from the start"),
     "omega_peak_radps": ("rad/s", "largest absolute commanded yaw rate of the whole run"),
-    "kkt_rhe_median": ("", "median of `kkt_rhe` (R12)"),
-    "kkt_rhc_median": ("", "median of `kkt_rhc` (R12)"),
+    "kkt_rhe_median": ("", "median of `kkt_rhe` (G12)"),
+    "kkt_rhc_median": ("", "median of `kkt_rhc` (G12)"),
     "solver_ok": ("", "whether every QP was solved; it says nothing of the errors"),
 }
 

@@ -41,7 +41,7 @@ class Scenario:
     with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
     (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
-    """W by name (R1, R2). "printed": the paper's; "likelihood": the likeliest on training seeds;
+    """W by name (G1, G2). "printed": the paper's; "likelihood": the likeliest on training seeds;
     "consistent": makes the covariance match the errors there; "tracking": has the least true error
     there with the paper's controller. These two also set sigma_v where that is None. "soft_soil":
     the likeliest on soil that slips more, as under recorded robots. None: "printed" for an RHE,
@@ -56,20 +56,20 @@ class Scenario:
     rad/s]."""
     estimation_horizon: valid.Intervals = paper.HORIZON
     """Intervals of the estimation window. N intervals have N + 1 nodes, so 14 gives the paper's sum
-    of N = 15 terms (R5)."""
+    of N = 15 terms (G5)."""
     speed_model: options.SpeedModel = "parameter"
     """How the RHE models ν. "parameter": one ν over the window, as in the paper; "input": one ν an
-    interval, from the encoders (R6, R13); "slipping": the same, with process noise that grows with
+    interval, from the encoders (G6, G13); "slipping": the same, with process noise that grows with
     the distance of the tracks, also sideways, which is not in the paper."""
     slip: options.Slip | None = None
     """Constants of the speed model "slipping", in the order of `tuning.SLIP`."""
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
-    of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (R7)."""
+    of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (G7)."""
     yaw_rate_interval: Literal["before", "after"] = "before"
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
-    holds it, one sample later (R16)."""
+    holds it, one sample later (G16)."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -92,13 +92,13 @@ class Scenario:
     """How far beyond the closest point of the path the desired points begin [m]."""
     input_reference: Literal["measured", "curvature"] = "measured"
     """Desired yaw rate. "measured": the measured one over the horizon, as in the paper;
-    "curvature": the one that the path's curvature asks for (R8)."""
+    "curvature": the one that the path's curvature asks for (G8)."""
     command_delay: Literal[0, 1] = 0
-    """0: the command computed at t_k is applied at once; 1: one sample later (R10)."""
+    """0: the command computed at t_k is applied at once; 1: one sample later (G10)."""
     traction_timing: Literal["feedback", "sample_before", "prepared_anew"] = "feedback"
     """When ν̂, μ̂ and κ̂ reach the RHC. "feedback": those of the newest sample act through the
     linearised model; "sample_before": the preparation uses those of the sample before;
-    "prepared_anew": the preparation waits for those of the newest sample (R15)."""
+    "prepared_anew": the preparation waits for those of the newest sample (G15)."""
     controller: Annotated[Literal["rhc"] | Controller, SkipValidation] = "rhc"
     """The paper's "rhc", or one's own, a rhec.Controller, which takes what it likes of the
     parameters above and of what the loop knows."""
@@ -111,7 +111,7 @@ class Scenario:
     duration_s: Annotated[valid.Positive, Limits(ge=paper.DT_S, le=1e6)] = 240.0
     """Length of the run [s]."""
     backwards: valid.Flag = False
-    """Whether the robot drives in reverse, λ = 1 in eq. (18) (R9)."""
+    """Whether the robot drives in reverse, λ = 1 in eq. (18) (G9)."""
     path: Annotated[Path | None, SkipValidation] = None
     """Path to follow. None: two rows that half circles join on the headlands."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
@@ -119,7 +119,7 @@ class Scenario:
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
     """Radius of these half circles [m]."""
     start_offset_m: valid.Real = paper.START_OFFSET_M
-    """Where the robot starts, to the left of the path's beginning (R3) [m]."""
+    """Where the robot starts, to the left of the path's beginning (G3) [m]."""
     start_yaw_rad: valid.Real = 0.0
     """Yaw at the start relative to the path [rad]."""
     guess_yaw_rad: valid.Real = 0.0
@@ -155,9 +155,9 @@ class Scenario:
     gnss_sigma_m: valid.NotNegative = 0.018
     """Standard deviation of the GNSS position's error [m]."""
     gnss_slow_share: Annotated[valid.NotNegative, Limits(le=1)] = 0.55
-    """Share of the variance of that error that varies slowly (R4)."""
+    """Share of the variance of that error that varies slowly (G4)."""
     gnss_slow_time_s: valid.Positive = 170.0
-    """Time constant of the slow part (R4) [s]."""
+    """Time constant of the slow part (G4) [s]."""
     encoder_sigma_mps: valid.NotNegative = 0.02
     """Standard deviation of one track's encoder at 50 Hz [m/s]."""
     speed_sigma_mps: valid.NotNegative = 0.023

@@ -90,5 +90,5 @@ _INPUT = Model(
     max_measurement=_LIMITS,
 )
 # ν is one parameter of the window, as in the paper, or a measured input of each interval
-# (interpretation R13).
+# (interpretation G13).
 SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER), "input": SpeedModel(_INPUT)}

@@ -98,7 +98,7 @@ def measure(dt_s):
 
     gnss_slow_share is the slow part's share of the variance of the position. This part d is a
     first-order Gauss-Markov process of the time constant T = gnss_slow_time_s,
-    d = e^{-Δt/T} d⁻ + √(1 - e^{-2Δt/T}) w (interpretation R4), stationary from the first sample on.
+    d = e^{-Δt/T} d⁻ + √(1 - e^{-2Δt/T}) w (interpretation G4), stationary from the first sample on.
     Independent errors of two tracks would make the yaw rate as noisy as the paper's, but the speed
     18 times less noisy: hence speed_sigma_mps.
     """
@@ -197,7 +197,7 @@ def _build_both_tracks():
 
 
 def pair_with_next_interval(n_z):
-    """Interpretation R16 as a Function (z, newest_omega) -> (z, newest_omega).
+    """Interpretation G16 as a Function (z, newest_omega) -> (z, newest_omega).
 
     An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of
     the sample before in its place, the ω measured at t_i belongs to the interval from t_i on, and

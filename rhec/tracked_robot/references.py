@@ -56,9 +56,9 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     The desired points begin `look_ahead_m` beyond the closest one. They lie one sample of the
     robot's estimated speed over ground, |μ̂ν̂| Δt, apart, so that the path leads and not a clock,
     eq. (17). The desired yaw is that of the path plus λπ, eq. (18), with λ = `backwards`, in the
-    turn nearest to the estimate (interpretation R9). The desired yaw rate is the measured one over
+    turn nearest to the estimate (interpretation G9). The desired yaw rate is the measured one over
     the whole horizon, as in the paper, or with `input_reference` "curvature" c |μ̂ν̂| / κ̂ for the
-    path's curvature c (R8).
+    path's curvature c (G8).
 
     The results are s [m], xi_ref (3, N+1), omega_ref (1, N) and the curvature at s.
     """

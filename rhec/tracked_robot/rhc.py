@@ -24,7 +24,7 @@ def build_step(N, traction_timing="feedback"):
 
 
 def _with_online_traction(step, horizon, timing):
-    """The RHC's step with p̂ = (ν, μ, κ) as data of its preparation (interpretation R15).
+    """The RHC's step with p̂ = (ν, μ, κ) as data of its preparation (interpretation G15).
 
     Without this, p̂ of the newest sample acts in the feedback, through the linearised (x, p).
 

@@ -3,7 +3,7 @@
 Each is named by the rule that picked it. All but the last were tuned in the default world, with the
 arrival mean "filtered", on training seeds that no result uses (`notebooks/studies/calibration.py`):
 
-- "printed" is the paper's, to the letter (interpretations R1, R2).
+- "printed" is the paper's, to the letter (interpretations G1, G2).
 - "likelihood" maximises the likelihood of the innovations, seeds 1000 to 1009.
 - "consistent" has the least true error among those whose covariance matches the errors (NEES ≈ 1),
   same seeds.

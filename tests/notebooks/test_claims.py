@@ -268,7 +268,7 @@ def test_to_beat_a_rival_that_is_lost_is_named_so():
     tables |= {("printed", "runs", "ekf"): lost, ("likelihood", "runs", "ekf"): drives(0.03, False)}
     found = findings_of({"B5": ledger.CLAIMS["B5"]}, tables)["B5"]
     outcomes = {name: finding.verdict for name, finding in found.items()}
-    # The arrival mean (R7) belongs to every claim on the RHE.
+    # The arrival mean (G7) belongs to every claim on the RHE.
     assert outcomes["as printed"] == outcomes["smoothed arrival mean"] == statistics.LOST
     assert outcomes[rules.LIKELIHOOD] == FAILS and outcomes["W consistent"] == HOLDS
     (row,) = judged(tables, {"B5": ledger.CLAIMS["B5"]}).itertuples()

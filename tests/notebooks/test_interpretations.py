@@ -76,7 +76,7 @@ def moved(virtual_machine):
         patch.setattr(
             interpretations,
             "INTERPRETATIONS",
-            {name: interpretations.INTERPRETATIONS[name] for name in ("R3 a", "R10")},
+            {name: interpretations.INTERPRETATIONS[name] for name in ("G3 a", "G10")},
         )
         patch.setattr(
             interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)
@@ -86,7 +86,7 @@ def moved(virtual_machine):
 
 def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
     assert (
-        set(moved["interpretation"]) == {"baseline", "R1", "R2", "R3 a", "R10", "R14"}
+        set(moved["interpretation"]) == {"baseline", "G1", "G2", "G3 a", "G10", "G14"}
         and (moved["n"] == 3).all()
     )
     assert (
@@ -94,7 +94,7 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
         == 0
     ).all(axis=None)
     of = moved.set_index(["interpretation", "quantity"])
-    for name in ("R2", "R3 a", "R10"):
+    for name in ("G2", "G3 a", "G10"):
         row = of.loc[(name, "mean error, true [m]")]
         assert (
             row["change"]
@@ -102,10 +102,10 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
             and row["change"] != 0
         )
     assert (
-        of.loc[("R1", "mean error, true [m]"), "change"]
+        of.loc[("G1", "mean error, true [m]"), "change"]
         == 0
-        != of.loc[("R1", "true error, RHE - EKF [m]"), "change"]
-    )  # R1 is the EKF's alone
+        != of.loc[("G1", "true error, RHE - EKF [m]"), "change"]
+    )  # G1 is the EKF's alone
 
 
 def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):

@@ -1,4 +1,4 @@
-"""Interpretations R15 and R16: when ν̂, μ̂ and κ̂ reach the controller, and which interval a
+"""Interpretations G15 and G16: when ν̂, μ̂ and κ̂ reach the controller, and which interval a
 measured yaw rate belongs to.
 """
 

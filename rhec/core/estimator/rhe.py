@@ -51,7 +51,7 @@ from rhec.core.solver.rti import (
     outer_inputs,
 )
 
-ArrivalMean = Literal["filtered", "smoothed"]  # interpretation R7; see RHE
+ArrivalMean = Literal["filtered", "smoothed"]  # interpretation G7; see RHE
 UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
@@ -184,7 +184,7 @@ def _arrival(window, memory, W, noises):
     The prior of that node takes in its measurement z_0 and passes through the interval, linearised
     at the previous solution. The process noise W (n_s,) then adds to it, so that H_N = P⁻¹ never
     exceeds W⁻¹, eq. (9). The mean comes from the previous solution, as the paper says ("smoothed"),
-    or from the filter itself ("filtered"): interpretation R7.
+    or from the filter itself ("filtered"): interpretation G7.
     """
     interval = window.interval
     s_bar = memory.s[:, 0]

@@ -22,7 +22,7 @@ def shift(interval, s, v, dt_s, v_next=None):
 
 
 def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
-    """KKT tolerance as ACADO's generated code defines it (interpretation R12).
+    """KKT tolerance as ACADO's generated code defines it (interpretation G12).
 
     |∇J·Δw| + Σ |λ_i · d_i|, with d_i the distance from the linearisation point to the bound.
 
