@@ -466,10 +466,13 @@ def replay(
     arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
     log = _read(file, given)
     if calibrated:
-        arguments = rhec.calibrate(log, **_given_to(rhec.calibrate, given)) | arguments
+        found = rhec.calibrate(log, **_given_to(rhec.calibrate, given))
+        print(found)
+        arguments = found | arguments
     estimates = rhec.replay(log, estimator, **arguments)
     write_estimates(estimates, folder)
-    print(*estimates.attrs["remarks"], sep="\n")
+    for remark in estimates.attrs["remarks"]:
+        print(remark)
     print(f"{len(estimates)} estimates in {folder}")
 
 

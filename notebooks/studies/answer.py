@@ -94,7 +94,9 @@ def paper_beside_ours(folder=RESULTS, judged=True):
         row = {f"mean of {first['n']} drives [95 % interval]": label}
         row["the paper"] = f"{first['paper']:g}"
         for rule, ours in found.items():
-            text = interval_text(ours["mean"], ours["low"], ours["high"])
+            # Errors and violations are not negative, only their differences are.
+            low = ours["low"] if whose == _GAIN else max(ours["low"], 0)
+            text = interval_text(ours["mean"], low, ours["high"])
             if judged:
                 word = _judged(numbers, whose, quantity, rule)
                 text = f"{_SQUARES[word]} {word}: {text}"
@@ -141,8 +143,9 @@ def in_short(table):
     which = {
         HOLDS: "The RHE is better than the EKF by every rule that picks W.",
         FAILS: "The RHE is better than the EKF by no rule that picks W.",
+        _EKF_LOST: "Whether the RHE is better cannot be judged: the EKF is lost by every rule.",
     }.get(order, "Whether the RHE is better than the EKF depends on the rule that picks W.")
-    return f"{short}. The RHE's mean error {is_that} that of the paper. {which}"
+    return f"{short}. With W as printed the RHE's mean error {is_that} that of the paper. {which}"
 
 
 def scenario_b_in_words(table):
@@ -231,6 +234,7 @@ def _says_ekf(numbers):
         )
     else:
         why += f"{means['printed']} m."
+    words = {rule: _NOT_MET if word == _LOST else word for rule, word in words.items()}
     others = _listed(f"{words[rule]} ({_RULES[rule]}, {means[rule]} m)" for rule in _OTHERS)
     return short, f"{why} By the other rules the paper's number is {others}."
 
@@ -244,15 +248,20 @@ def _listed(texts):
 def _order(numbers):
     """Whether the RHE has the smaller mean error, by the rules with which the EKF is not lost.
 
-    The verdict by all of them, or None if they differ.
+    The verdict by all of them, or None if they differ; _EKF_LOST if it is lost by every rule.
     """
-    words = {_judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES} - {_EKF_LOST}
+    every = {_judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
+    words = every - {_EKF_LOST} or every
     return words.pop() if len(words) == 1 else None
 
 
 def _says_order(numbers):
     """The order of the mean errors by each rule that picks W for both."""
-    short = {HOLDS: "Yes, by every rule that picks W.", FAILS: "No, by no rule that picks W."}
+    short = {
+        HOLDS: "Yes, by every rule that picks W.",
+        FAILS: "No, by no rule that picks W.",
+        _EKF_LOST: "This cannot be judged.",
+    }
     words = {rule: _judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
     said = "; ".join(
         f"{_RULES[rule]}: {_said_of(word)}{_pair(numbers, rule)}" for rule, word in words.items()
@@ -275,14 +284,14 @@ def _says_cause(numbers):
     others = [rule for rule in _RULES if rule != "tracking"]
     best_rule = min(others, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
     best = numbers.loc["RHE", _ERROR, best_rule]["mean"]
-    ekf = numbers.loc["EKF", _ERROR, "tracking"]["mean"]
+    rhe, ekf = (numbers.loc[name, _ERROR, "tracking"]["mean"] for name in ("RHE", "EKF"))
     short = "Perhaps the traction."
     if ekf < best:
         short = "W, more than the traction."
     why = (
-        f"An EKF that knows of no slip has {ekf:.4f} m with the W of least tracking error and the "
-        f"same controller. By the three other rules the RHE, which estimates the traction, has at "
-        f"best {best:.4f} m ({_RULES[best_rule]})."
+        f"With the W of least tracking error and the same controller, an EKF that knows of no slip "
+        f"has {ekf:.4f} m, and the RHE, which estimates the traction, {rhe:.4f} m. By the three "
+        f"other rules the RHE has at best {best:.4f} m ({_RULES[best_rule]})."
     )
     return short, why
 

@@ -380,12 +380,10 @@ def combined(findings):
     holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
     if len(holding) == len(verdicts):
         return HOLDS, first
-    if holding and first == holding[0]:
-        only = "only " * (len(holding) == 1 and UNDECIDED not in verdicts.values())
-        return f"{HOLDS} {only}{first}", first
     if holding:
-        only = "only " * (verdicts[first] == FAILS)
-        return f"{HOLDS} {only}with {holding[0]}", holding[0]
+        only = "only " * (len(holding) == 1 and UNDECIDED not in verdicts.values())
+        departs = "with " * (holding[0] != first)
+        return f"{HOLDS} {only}{departs}{holding[0]}", holding[0]
     undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
     return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
 

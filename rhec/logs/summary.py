@@ -150,7 +150,7 @@ def log(
         taken=_taken(recorded, recording),
         asked="" if track_width_m else _ASKED,
         diagnosis=diagnosis,
-        verdict=_verdict(recording, traction, comparison, smoothed),
+        verdict=_verdict(recording, diagnosis, traction, comparison, smoothed),
         traction=traction,
         comparison=comparison,
         samples=smoothed,
@@ -171,7 +171,8 @@ def _taken(log, recording=None):
             "truth, unseen": RECORDED_TRUTH,
         }
         for role, names in roles.items():
-            columns = [recording.columns[name] for name in names if name in recording.rows]
+            # The true speeds of a simulated run are computed from several of its columns.
+            columns = [recording.columns[name] for name in names if name in recording.columns]
             if columns:
                 found = [*dict.fromkeys(columns), *([rows[role]] if role in rows else [])]
                 rows[role] = ", ".join(found)
@@ -179,9 +180,9 @@ def _taken(log, recording=None):
     return rows
 
 
-def _verdict(recording, traction, comparison, smoothed):
+def _verdict(recording, diagnosis, traction, comparison, smoothed):
     """Whether to trust the estimates, and if not, why and what helps."""
-    doubts = []
+    doubts = [each.fact for each in diagnosis.findings if each.code == "moved_in_silence"]
     if travelled(recording.rows, MEASUREMENTS[3]) < _LEAST_TURNED_RAD:
         doubts.append("κ is not excited: drive two figures of eight")
     if unknown := unknown_yaw(smoothed):
@@ -201,8 +202,9 @@ def _verdict(recording, traction, comparison, smoothed):
         )
     if traction.loc["κ", "value"] > 1:
         doubts.append(
-            "κ is above 1, so the driver has already corrected the yaw rate: give its "
-            "wheel_separation_multiplier (--wheel-separation-multiplier)"
+            "κ is above 1: where the driver has already corrected the yaw rate, give its "
+            "wheel_separation_multiplier (--wheel-separation-multiplier); else the tracks slip "
+            "unlike each other"
         )
     if doubts:
         return f"Do not trust it yet: {'; '.join(doubts)}."

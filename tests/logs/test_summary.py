@@ -255,3 +255,19 @@ def test_hidden_positions_show_how_far_off_an_estimate_is():
         # All tens of seconds but the first.
         np.testing.assert_allclose(hidden.error_m[after_s], [after_s] * 9, atol=1e-6)
         assert (hidden.is_covered[after_s] == is_covered).all()
+
+
+def test_the_log_of_a_simulated_run_is_taken_as_it_is():
+    """Its true speeds are computed from other columns, which none of its own names."""
+    run = rhec.simulate(rhec.Scenario(duration_s=60.0))
+    summary = rhec.log(run.log)
+    assert "x_m" in summary.taken["truth, unseen"] and "κ" in summary.traction.index
+
+
+def test_a_robot_that_was_moved_in_a_pause_is_not_trusted():
+    moved = LOG.copy()
+    later = moved["t_s"] > 60
+    moved.loc[later, "t_s"] += 120.0
+    moved.loc[later, "x_m"] += 3.0
+    verdict = rhec.log(moved).verdict
+    assert verdict.startswith("Do not trust it yet: ") and "after a pause" in verdict
