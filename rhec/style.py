@@ -106,6 +106,7 @@ def styled(draw):
                 if len(sizes) == 1:
                     axis.set_tick_params(labelsize=sizes.pop())
             figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # it stands, and takes as long as to draw
         plt.close(figure)  # otherwise a notebook shows it twice
         return figure
 
@@ -165,6 +166,19 @@ def source_of(png):
     return creator[1].decode() if creator else ""
 
 
+@dataclasses.dataclass(frozen=True)
+class Saved:
+    """A saved figure; a notebook shows its PNG, so that it is drawn once."""
+
+    png: Path
+
+    def __repr__(self):
+        return self.png.name
+
+    def _repr_png_(self):
+        return self.png.read_bytes()
+
+
 def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     """Write a figure as PNG and PDF, with reproducible bytes.
 
@@ -176,7 +190,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
         notebook: Name of the notebook; by default the one that runs.
 
     Returns:
-        The path of the PNG.
+        Saved, with the path of the PNG.
     """
     import matplotlib as mpl
 
@@ -188,14 +202,13 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
         with replacing(png) as unfinished:
             creator = {"Creator": f"rhec {__version__}"}
             figure.savefig(unfinished, format="png", metadata=metadata | creator)
-        figure.set_layout_engine(None)  # it stands, and takes as long as to draw
         # To memory first, because Matplotlib's PDF writer hides the error of a full disk.
         pdf = io.BytesIO()
         figure.savefig(pdf, format="pdf", metadata=metadata | {"CreationDate": None})
         with replacing(png.with_suffix(".pdf")) as unfinished:
             unfinished.write_bytes(pdf.getvalue())
     _list_as_made(png, png.with_suffix(".pdf"))
-    return png
+    return Saved(png)
 
 
 def _list_as_made(*files):

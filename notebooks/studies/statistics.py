@@ -157,9 +157,10 @@ def share_interval(k, n, confidence=CONFIDENCE):
     Returns:
         low, high.
     """
-    from scipy import stats  # it takes half a second to load, and most studies need no share
-
-    return stats.binomtest(k, n).proportion_ci(confidence, method="exact")
+    # scipy.stats has it, and takes half a second to load.
+    low = special.betaincinv(k, n - k + 1, (1 - confidence) / 2) if k else 0.0
+    high = special.betaincinv(k + 1, n - k, (1 + confidence) / 2) if k < n else 1.0
+    return low, high
 
 
 def coverage(statistic, *samples, n=None, trials=4000):
@@ -254,8 +255,6 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     The interval is that of `share_interval`. p is twice the smaller tail of the binomial
     distribution at the nearer bound.
     """
-    from scipy import stats  # it takes half a second to load, and most studies need no share
-
     flags = np.asarray(flags, dtype=bool)
     n = len(flags)
     if not n:
@@ -267,7 +266,7 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     bound = above if abs(value - above) <= abs(value - below) else below
     p = np.nan
     if 0 < bound < 1:
-        tails = stats.binom.cdf(k, n, bound), stats.binom.sf(k - 1, n, bound)
+        tails = special.bdtr(k, n, bound), special.bdtrc(k - 1, n, bound)
         p = min(1.0, 2 * float(min(tails)))
     return Finding(value, float(low), float(high), n, outcome, above, below, p)
 

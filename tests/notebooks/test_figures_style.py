@@ -51,7 +51,7 @@ def test_a_figure_made_again_is_the_same_bytes_and_tells_its_source(tmp_path, mo
     sources = []
     for folder, text in (("first", "before"), ("again", "before"), ("edited", "after")):
         module.write_text(text)
-        file = style.save(parabola(), "parabola", Scenario(), tmp_path / folder, "03.ipynb")
+        file = style.save(parabola(), "parabola", Scenario(), tmp_path / folder, "03.ipynb").png
         png[folder] = file.read_bytes()
         pdf[folder] = file.with_suffix(".pdf").read_bytes()
         sources.append(style.source_of(file))
