@@ -310,8 +310,9 @@ def _says_weights(table):
     )
     errors = _listed(f"{mean:.3f} m ({_WEIGHTS[name]})" for name, mean in means.items())
     why = (
-        f"Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to settle, and Q² overshoots "
-        f"{three_digits(swings['mean'])} times as far as Q³. The mean errors are {errors}."
+        f"On {slow['n']} fields Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to "
+        f"settle, and Q² overshoots {three_digits(swings['mean'])} times as far as Q³. The mean "
+        f"errors are {errors}."
     )
     return short, why
 
