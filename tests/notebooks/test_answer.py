@@ -112,7 +112,7 @@ def test_the_best_of_the_weights_is_the_one_with_the_least_error(best, word):
     ]
     rows += [("Q1 / Q3", "settling time, ratio", 6.0, "holds")]
     rows += [("Q2 / Q3", "overshoot, ratio", 1.9, "undecided")]
-    table = pd.DataFrame(rows, columns=["weight", "quantity", "mean", "verdict"])
+    table = pd.DataFrame(rows, columns=["weight", "quantity", "mean", "verdict"]).assign(n=20)
     said = answer.scenario_a_in_words(table)
     assert (
         f"Q¹ is slow: yes. Q² overshoots: undecided. Q³ is the best of the three: {word}." in said

@@ -97,7 +97,7 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     notebook.main()
     shown = capsys.readouterr().out
     assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
-    assert "seeds: whole number, 2 to 1000 (default: 1000)" in shown
+    assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
     assert "process_noise: printed or likelihood" in shown
     assert "-p seed 0" in shown
 
