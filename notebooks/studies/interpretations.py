@@ -218,16 +218,14 @@ INTERPRETATIONS = {
     "G3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
     "G3 c": ("start 2 m off", dict(start_offset_m=2.0)),
     "G3 d": ("headland of 10 m radius", dict(headland_radius_m=10.0)),
-    "G4 a": ("GNSS: half of it slow", dict(gnss_slow_share=0.5)),
-    "G4 b": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
+    "G4": ("GNSS: nine tenths slow", dict(gnss_slow_share=0.9)),
     "G5": ("window of N terms", dict(estimation_horizon=14), dict()),
     "G6, G13": ("ν an input, p = (μ, κ)", dict(speed_model="input"), dict()),
     "G7": ("prior mean smoothed", dict(arrival_mean="smoothed"), dict()),
     "G8": ("path's yaw rate as reference", dict(input_reference="curvature")),
     "G9": ("backwards, λ = 1", dict(backwards=True)),
     "G10": ("command one sample late", dict(command_delay=1)),
-    "G15 a": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
-    "G15 b": ("prepared anew with ν, μ, κ", dict(traction_timing="prepared_anew")),
+    "G15": ("ν, μ, κ of the sample before", dict(traction_timing="sample_before")),
     "G16": ("ω of the interval after it", dict(yaw_rate_interval="after")),
 }
 QUANTITIES = {
