@@ -89,7 +89,7 @@ def test_the_rule_of_thumb_can_come_out_either_way():
         return 0.5 if loop == 0.2 else 1.0
 
     words = traction_map.rule_in_words(traction_map.worth_map(made_up(pays_against_high_constants)))
-    assert "κ too high by 0.2 (9 of 9 soils). Against" in words
+    assert "κ too high by 0.2 (6 of 6 soils). Against" in words
     assert "only where the mean κ is 0.8 or less" in words
     assert "instead of the paper's 10 that takes 75 % off" in words
     never = traction_map.rule_in_words(traction_map.worth_map(made_up(lambda *_: 1.0)))
