@@ -47,41 +47,6 @@ def lotka_volterra():
     return ControlProblem(options, (1.0, 0.1), (0.2, 0.0), 60)
 
 
-def race_car():
-    """A race car of 1:43 within the edges of a track, after acados, on a track of sine bends."""
-
-    def h(x, u, p):  # longitudinal and lateral acceleration [m/s²]
-        force = (0.28 - 0.05 * x[3]) * x[4] - 0.006 * x[3] ** 2 - 0.011 * ca.tanh(5 * x[3])
-        return [force / 0.043, 15.5 * x[3] ** 2 * x[5] + force / 0.043 * ca.sin(0.5 * x[5])]
-
-    def f(x, u, p):
-        side = x[2] + 0.5 * x[5]
-        along = x[3] * ca.cos(side) / (1 - BEND * ca.sin(2 * x[0]) * x[1])
-        turn = 15.5 * x[3] * x[5] - BEND * ca.sin(2 * x[0]) * along
-        return [along, x[3] * ca.sin(side), turn, h(x, u, p)[0] * ca.cos(0.5 * x[5]), u[0], u[1]]
-
-    states = ("s_m", "n_m", "alpha_rad", "v_mps", "throttle", "steering_rad")
-    names = dict(states=states, inputs=("throttle_rate", "steering_rate"))
-    model = Model(**names, parameters={}, outputs=("along", "across"), f=f, h=h, steps=3)
-    soft = dict(along=Bound(-4, 4, linear=2.0), n_m=Bound(-0.12, 0.12, linear=100.0))
-    bounds = dict(throttle_rate=(-10, 10), steering_rate=(-2, 2), throttle=(-1, 1))
-    bounds |= dict(steering_rad=(-0.4, 0.4), across=(-4, 4)) | soft
-    options = dict(model=model, command=model.inputs, bounds=bounds, outputs=model.outputs)
-    options |= dict(q=(0.1, 1e-8, 1e-8, 1e-8, 1e-3, 5e-3), r=(1e-3, 5e-3), dt=0.02, horizon=50)
-    options |= dict(qn=(0.1, 0.2, 2e-10, 2e-10, 1e-4, 4e-5))
-    return ControlProblem(options, (-2.0,) + (0.0,) * 5, _ahead, 300)
-
-
-BEND = 1.5  # largest curvature of the race car's track [1/m]
-
-
-def _ahead(x):
-    """The desired states of the race car: 3 m further on within the horizon."""
-    goal = np.zeros((6, 51))
-    goal[0] = x[0] + np.linspace(0, 3, 51)
-    return goal
-
-
 def cstr():
     """A stirred tank reactor that is to make 0.6 mol/l of B, after do-mpc, for nominal kinetics."""
 

@@ -4,7 +4,6 @@ Weights, lengths and noise follow the source that each function names. Where `rh
 what the source does, its docstring tells the difference.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import casadi as ca
@@ -22,7 +21,7 @@ class ControlProblem(NamedTuple):
 
     options: dict  # of rhec.RHC
     start: tuple
-    goal: tuple | Callable  # desired state, or function of the present one -> (n_x, N+1)
+    goal: tuple  # desired state
     samples: int
     iterations: int = 1  # of a sample after the first
 
@@ -76,21 +75,6 @@ def pendulum():
     options = dict(model=model, command=("force_N",), bounds={"force_N": (-80.0, 80.0)})
     options |= dict(q=(2e3, 2e3, 2e-2, 2e-2), r=(2e-2,), qn_factor=1.0, dt=0.025, horizon=40)
     return ControlProblem(options, (0.0, np.pi, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 120)
-
-
-def unicycle():
-    """A unicycle with force and torque that drives to a point, after acados (N = 50)."""
-
-    def f(x, u, p):
-        return ca.vertcat(x[2] * ca.cos(x[3]), x[2] * ca.sin(x[3]), u[0], x[4], u[1])
-
-    states = ("x_m", "y_m", "v_mps", "theta_rad", "w_radps")
-    inputs = ("force_N", "torque_Nm")
-    model = Model(states=states, inputs=inputs, parameters={}, outputs=states, f=f)
-    options = dict(model=model, command=inputs, bounds={"force_N": (-10.0, 10.0)})
-    options |= dict(q=(2e3, 2e3, 2e-4, 2e-3, 2e-3), r=(1.0, 0.1), qn_factor=1.0)
-    options |= dict(dt=0.04, horizon=50)
-    return ControlProblem(options, (0.0,) * 5, (1.0, 1.0, 0.0, 0.0, 0.0), 100)
 
 
 # Estimators
@@ -170,24 +154,19 @@ def drive(problem):
     step = next_state(model, problem.options["dt"])
     rest = dict(p=np.zeros(0), u_ref=np.zeros(len(model.inputs)))
     xs = [np.array(problem.start)]
-    goal = goal_at(problem, xs[0])
+    goal = np.array(problem.goal)
     us = [rhc.solve(xs[0], x_ref=goal, **rest, iterations=100)]
     plans = reference.cost(xs[0], goal, rhc.u_plan), reference.solve(xs[0], goal).cost
     for _ in range(problem.samples - 1):
         xs.append(step(xs[-1], us[-1], []).full().ravel())
         rhc.prepare()
-        given = dict(x=xs[-1], x_ref=goal_at(problem, xs[-1]), **rest)
+        given = dict(x=xs[-1], x_ref=goal, **rest)
         if problem.iterations == 1:
             us.append(rhc.feedback(**given))
         else:
             us.append(rhc.solve(**given, iterations=problem.iterations))
     xs.append(step(xs[-1], us[-1], []).full().ravel())
     return Drive(np.array(xs), np.array(us), *plans)
-
-
-def goal_at(problem, x):
-    """The desired states (n_x,) or (n_x, N+1) of a ControlProblem at the present state x."""
-    return problem.goal(x) if callable(problem.goal) else np.array(problem.goal)
 
 
 def estimate(problem, seed=0):

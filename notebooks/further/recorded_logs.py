@@ -12,8 +12,6 @@ import pandas as pd
 from notebooks.further.recorded import scores
 from notebooks.studies.statistics import over_seeds
 
-AUGMENTED = "augmented EKF"
-
 _QUANTITIES = dict(
     yaw_rms_rad="RMS error of yaw [rad]",
     yaw_rms_slow_rad="RMS error of yaw without fast spins [rad]",
@@ -40,19 +38,14 @@ def of_the_log(replaying):
 
 
 def estimators(process_noise, of_the_rhe):
-    """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of four others.
+    """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of two others.
 
     The W of the others is "printed" or "likelihood". Soil under recorded robots slips more than
     that of the default world, so the latter is the likeliest one on softer soil.
     """
     given = of_the_log(of_the_rhe)
     noise = dict(process_noise="printed" if process_noise == "printed" else "soft_soil")
-    papers = {
-        "RHE, ν as input": dict(speed_model="input"),
-        "RHE, ν over the window": dict(speed_model="parameter"),
-        "EKF": dict(estimator="ekf"),
-        AUGMENTED: dict(estimator="augmented_ekf"),
-    }
+    papers = {"RHE, ν over the window": dict(speed_model="parameter"), "EKF": dict(estimator="ekf")}
     return {"RHE": of_the_rhe} | {name: given | noise | of for name, of in papers.items()}
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from notebooks.further.recorded import scores
 from notebooks.plots.parts import DOTS, legend_above, log_axis, note, time_axis
 from notebooks.studies.tables import interval_text
-from rhec.style import COLOURS, DOUBLE_IN, GREEN, ORANGE, PURPLE, SKY, styled
+from rhec.style import COLOURS, DOUBLE_IN, ORANGE, PURPLE, SKY, styled
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
-_COLOURS |= {"RHE, ν as input": GREEN, "RHE, ν over the window": PURPLE, "augmented EKF": ORANGE}
+_COLOURS |= {"RHE, ν over the window": PURPLE}
 # Turning more slowly counts as straight; the median over _SMOOTH samples removes encoder noise.
 _STRAIGHT_RADPS = 0.05
 _SMOOTH = 11

@@ -59,7 +59,7 @@ def scenarios(loop, seeds):
 def drive(loops, seeds, folder=None):
     """{loop: rows of `rhec.campaign`} on every seed; the folder keeps the campaign's rows."""
     drives = {loop: scenarios(loop, seeds) for loop in loops}
-    rows = campaign([*itertools.chain(*drives.values())], folder)
+    rows = campaign([*itertools.chain(*drives.values())], folder, workers=1)
     parts = np.split(np.arange(len(rows)), len(drives))
     return {loop: rows.iloc[part] for loop, part in zip(drives, parts)}
 

@@ -87,20 +87,17 @@ def map_of_worth(table):
     Args:
         table: Of `notebooks.further.traction_map.worth_map`.
     """
-    controls = list(table["control"].unique())
     variations = list(table["variation"].unique())
-    size = dict(figsize=(style.DOUBLE_IN, 1.6 * len(controls) + 0.7))
+    size = dict(figsize=(style.DOUBLE_IN, 2.3))
     shared = dict(sharex=True, sharey=True, squeeze=False)
-    figure, rows = plt.subplots(len(controls), len(variations), **size, **shared)
-    for control, panels in zip(controls, rows):
-        for variation, axes in zip(variations, panels):
-            is_here = (table["control"] == control) & (table["variation"] == variation)
-            image = _draw_cells(axes, table[is_here])
-            axes.set_title(f"{control}, varies by {variation:g} of its slip", loc="center")
-        panels[0].set_ylabel("mean κ of the soil [-]")
+    figure, (panels,) = plt.subplots(1, len(variations), **size, **shared)
+    for variation, axes in zip(variations, panels):
+        image = _draw_cells(axes, table[table["variation"] == variation])
+        axes.set_title(f"varies by {variation:g} of its slip", loc="center")
+    panels[0].set_ylabel("mean κ of the soil [-]")
     figure.supxlabel("error of the constant κ that the rival is told [-]", fontsize=8)
     label = "error with estimated traction\nover the rival's [-]"
-    figure.colorbar(image, ax=rows, label=label, fraction=0.03, pad=0.01, extend="both")
+    figure.colorbar(image, ax=panels, label=label, fraction=0.03, pad=0.01, extend="both")
     words = (
         f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: the robot is lost"
     )

@@ -360,6 +360,13 @@ def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path, expecte
     assert "no C compiler found" in line and list(tmp_path.iterdir()) == []
 
 
+@needs_compiler
+def test_an_empty_cc_asks_for_no_compiler_and_nothing_is_said(tmp_path, expected):
+    process = start(tmp_path, CC="")
+    assert process.communicate(timeout=120) == (expected, "")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_buffered_function_computes_what_the_function_does():
     matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
     results = [matrix @ vector, ca.sumsqr(vector)]

@@ -43,7 +43,7 @@ def table():
         }
         patched.setattr(tolerance, "LOOPS", loops)
         patched.setattr(tolerance, "IN_WORLDS", ("default", "uncertain"))
-        return tolerance.drive(dict(default=12, uncertain=6))
+        return tolerance.drive(12)
 
 
 @pytest.mark.nightly
@@ -58,7 +58,7 @@ def test_fields_are_counted_and_the_verdict_needs_share_and_speed(table):
     assert slow["low"] < slow["share"] or slow["share"] == 0
     assert fast["share"] < slow["share"]
     assert slow["speed_mps"] == pytest.approx(0.4, abs=0.005)
-    assert (whole.loc["default", "n"] == 12).all() and (whole.loc["uncertain", "n"] == 6).all()
+    assert (whole["n"] == 12).all()
 
     def verdict(least_share, least_speed_mps):
         judged = tolerance.judged(pd.DataFrame([slow]), least_share, least_speed_mps)

@@ -101,7 +101,7 @@ def times(machine, program, log, repetitions=5):
     return np.min([np.loadtxt(text, delimiter=",", skiprows=2) for text in printed], axis=0) / 1e3
 
 
-def nonsense(machine, program, samples=50_000, seed=0):
+def nonsense(machine, program, samples=20_000, seed=0):
     """Run `fuzz`, which feeds an export with invalid measurements; a table of one row.
 
     It counts samples, storms of invalid measurements, still_lost (storms after which the estimate

@@ -63,6 +63,8 @@ def compiler():
 @functools.cache
 def _working_compiler():
     named = os.environ.get("CC", "clang")
+    if not named:  # `CC=` asks for none
+        return None
     path = shutil.which(named) or shutil.which("cc") or shutil.which("gcc")
     if os.name != "posix":  # the flags and the cache's locks are those of POSIX
         path = None
