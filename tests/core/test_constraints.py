@@ -141,6 +141,7 @@ def compare(case, seed, instances):
     return found
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("case", CASES)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(case):
     """Bounds of states and outputs are active in at least a third of the instances."""

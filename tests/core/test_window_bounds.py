@@ -11,8 +11,8 @@ import rhec
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 # Of the state that `instance` shifts: a wall that the robot comes close to.
 NARROW = {
-    CART: {"position_m": (-60.0, 0.9)},
     BICYCLE: {"x_m": (-60.0, 0.9)},
+    CART: {"position_m": (-60.0, 0.9)},
     SKID_STEERED: {"x_m": (-60.0, 0.9)},
 }
 
@@ -41,8 +41,9 @@ def at_a_bound(robot, states):
     return any(np.abs(np.subtract.outer(row, limits)).min() < 1e-7 for row, limits in pairs)
 
 
-@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("robot", NARROW)
+@pytest.mark.parametrize("noisy", [False, True])
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, noisy):
     """On 20 random windows, with a bound of a state active in a third of them or more."""
     rng, active = np.random.default_rng(0), 0
