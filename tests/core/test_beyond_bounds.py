@@ -74,9 +74,9 @@ def test_a_price_above_all_multipliers_gives_the_same_commands():
 
 
 @pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("price", [None, 100.0])
 @pytest.mark.parametrize("lowest", [-INF, -1.0])
 @pytest.mark.parametrize("inputs", [[[1.9, 1.9], [-0.74, 0.74]], [[1.0, 0.5], [0.2, 1.0]]])
-@pytest.mark.parametrize("price", [None, 100.0])
 def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
     """Two coupled inputs, a reference beyond the bound: in the end nothing is left to gain."""
     f = lambda x, u, p: ca.vertcat(-x[0] / 18, -x[1] / 8) + 0.1 * ca.DM(inputs) @ u  # noqa: E731
@@ -162,8 +162,8 @@ def overtake(y_0, price, samples=60):
 
 
 @pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("y_0", [0.05, 0.3, -0.2])
 @pytest.mark.parametrize("price", [None, 10.0, 1e4])
+@pytest.mark.parametrize("y_0", [0.05, 0.3, -0.2])
 def test_it_drives_around_a_slower_obstacle(y_0, price):
     clear, x, ok = overtake(y_0, price)
     assert np.all(ok) and clear.min() >= 0.99
