@@ -16,6 +16,7 @@ UNOPTIMISED = HERE / "unoptimised"
 LONGEST = (
     "logs/test_spoilt.py",
     "agreement/test_forms.py",
+    "core/test_batch.py",
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",
     "embedded/test_export.py",
@@ -26,6 +27,7 @@ LONGEST = (
     "project/test_benchmark.py",
     "project/test_command_line.py",
     "core/test_compiled.py",
+    "explorer/test_explorer.py",
 )
 
 

@@ -45,7 +45,7 @@ UNLIKE_TRACKS |= dict(rut_length_m=0.5, gnss_slow_share=0.7, gnss_slow_time_s=30
 PATH = rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1.0, 2.0, 0.5))
 EVERYTHING_ELSE = dict(
     speed_model="input", arrival_mean="filtered", input_reference="curvature", command_delay=1,
-    prediction_horizon=8, estimation_horizon=6, q=(1, 1, 10), backwards=True, look_ahead_m=0.3,
+    prediction_horizon=4, estimation_horizon=2, q=(1, 1, 10), backwards=True, look_ahead_m=0.3,
     guess_yaw_rad=0.2, process_noise="likelihood", path=PATH,
 )  # fmt: skip
 

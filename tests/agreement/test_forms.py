@@ -121,7 +121,13 @@ def on_arm(scenario, run, folder):
 
 
 FORMS = (virtual_machine, live, in_lanes, in_c)
-ALWAYS = "rhe", "sensors and faults", "everything else", "own controller"
+# Each form of three loops or so; the campaign of tests/simulation/test_lanes.py has more lanes.
+ALWAYS = {
+    "rhe": (live, in_lanes, in_c),
+    "sensors and faults": FORMS,
+    "everything else": (virtual_machine, in_c),
+    "own controller": (virtual_machine, in_lanes),
+}
 NIGHTLY = [(name, form) for name in ("rhe", "own") for form in (as_in_use, on_arm)]
 
 
@@ -133,7 +139,7 @@ def forms_of(loop):
 def loops_and_forms():
     for name, loop in LOOPS.items():
         for form in forms_of(loop):
-            marks = () if name in ALWAYS else pytest.mark.nightly
+            marks = () if form in ALWAYS.get(name, ()) else pytest.mark.nightly
             yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
     for name, form in NIGHTLY:
         yield pytest.param(name, form, marks=pytest.mark.nightly, id=f"{name}, {form.__name__}")
@@ -283,9 +289,9 @@ MODEL_FORMS = (fused_model, model_in_lanes, model_in_a_batch, model_in_c)
 
 
 def models_and_forms():
-    """Of the bicycle always, but for batches, which tests/core/test_batch.py compares always."""
+    """Of the bicycle always, but for lanes: tests/core/test_batch.py has those of another robot."""
     for name, form in itertools.product(EVERY_ROBOT, MODEL_FORMS):
-        is_quick = name == "bicycle" and form is not model_in_a_batch
+        is_quick = name == "bicycle" and form in (fused_model, model_in_c)
         marks = () if is_quick else pytest.mark.nightly
         yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
 

@@ -73,8 +73,9 @@ def test_a_price_above_all_multipliers_gives_the_same_commands():
 # Bounds at which it rests
 
 
-@pytest.mark.parametrize("lowest", [-INF, -1.0])
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("price", [None, 100.0])
+@pytest.mark.parametrize("lowest", [-INF, -1.0])
 @pytest.mark.parametrize("inputs", [[[1.9, 1.9], [-0.74, 0.74]], [[1.0, 0.5], [0.2, 1.0]]])
 def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
     """Two coupled inputs, a reference beyond the bound: in the end nothing is left to gain."""
@@ -86,6 +87,7 @@ def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
     assert np.all(ok) and states[-1, 0] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("price", [None, 1e3])
 def test_a_reactor_at_its_lowest_level_is_ok(price):
     """That of ModelPredictiveControl.jl: weights of outputs and changes, none of inputs."""
@@ -159,6 +161,7 @@ def overtake(y_0, price, samples=60):
     return np.array(clear), x, np.array(ok)
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("price", [None, 10.0, 1e4])
 @pytest.mark.parametrize("y_0", [0.05, 0.3, -0.2])
 def test_it_drives_around_a_slower_obstacle(y_0, price):

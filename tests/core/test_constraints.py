@@ -141,12 +141,13 @@ def compare(case, seed, instances):
     return found
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("case", CASES)
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(case):
     """Bounds of states and outputs are active in at least a third of the instances."""
-    found = compare(case, 0, 10)
+    found = compare(case, 0, 6)
     errors, active, ok, _ = zip(*found)
-    assert all(ok) and sum(active) >= 4
+    assert all(ok) and sum(active) >= 2
     assert max(errors) < 1e-6
 
 

@@ -95,7 +95,7 @@ def test_where_nobody_waits_more_loads_are_needed(cache, monkeypatch):
 
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
-    "fields", [dict(estimation_horizon=3, prediction_horizon=3), {}, dict(speed_model="slipping")]
+    "fields", [dict(estimation_horizon=2, prediction_horizon=2), {}, dict(speed_model="slipping")]
 )
 def test_an_optimised_closed_loop_has_the_same_bits(cache, monkeypatch, fields):
     """All other tests compile without optimisation (tests/conftest.py)."""

@@ -30,7 +30,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
 
 # The paper's loop, but for its horizons, which only compile longer.
-PAPER = rhec.Scenario(duration_s=20.0, seed=1, estimation_horizon=5, prediction_horizon=5)
+PAPER = rhec.Scenario(duration_s=20.0, seed=1, estimation_horizon=3, prediction_horizon=3)
 TOLERANCE = 1e-9
 PREDICTED = toolchain.STATUS["predicted"]
 RESTARTED = toolchain.STATUS["estimator_restarted"] + toolchain.STATUS["controller_restarted"]

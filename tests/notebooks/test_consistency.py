@@ -91,7 +91,8 @@ def training_runs():
     return calibration.oracle_runs(calibration.TRAINING_SEEDS)
 
 
-@pytest.mark.parametrize("estimator, most", [("rhe", 1.5), ("ekf", 1.1)])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("estimator, most", [("ekf", 1.1), ("rhe", 1.5)])
 def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, training_runs):
     """Beside it the likeliest W is too sure: innovations do not tell."""
     nees = {}

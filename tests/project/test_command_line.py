@@ -174,12 +174,12 @@ def test_the_notebooks_of_another_checkout_are_not_opened(capsys, tmp_path, monk
     assert f"not of the checkout {tmp_path}" in capsys.readouterr().err
 
 
-def test_help_needs_no_utf_8(tmp_path):
+def test_help_needs_no_utf_8_and_no_reader_that_reads_it_all(tmp_path):
     environment = os.environ | dict(PYTHONIOENCODING="latin-1")
-    command = [sys.executable, "-m", "rhec", "simulate", "--help"]
-    ended = subprocess.run(command, capture_output=True, cwd=tmp_path, env=environment)
-    assert ended.returncode == 0 and not ended.stderr
-    assert "--duration-s" in ended.stdout.decode("latin-1")
+    command = f"{sys.executable} -m rhec simulate --help | head -2"
+    options = dict(shell=True, capture_output=True, cwd=tmp_path, env=environment)
+    ended = subprocess.run(command, **options)
+    assert not ended.stderr and b"Usage: rhec simulate" in ended.stdout
 
 
 def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
@@ -213,9 +213,3 @@ def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch,
     words = "kappa-mean lever-arm-m process-noise soft_soil drift_oracle prepared_anew".split()
     assert all(word in script.read_text() for word in words)
     assert re.search("wet.* patches", script.read_text())
-
-
-def test_a_reader_that_stops_reading_gets_no_traceback(tmp_path):
-    command = f"{sys.executable} -m rhec simulate --help | head -1"
-    ended = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path)
-    assert ended.returncode == 0 and "Traceback" not in ended.stderr

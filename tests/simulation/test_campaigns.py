@@ -406,7 +406,7 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         BROKEN,
     ]
     here = rhec.campaign(scenarios)
-    for number in (1, 2, 2):
+    for number in (2, 2):
         assert_equal_rows(rhec.campaign(scenarios, workers=number), here)
         for process in worker_processes():
             process.kill()
@@ -474,9 +474,9 @@ class _DyingWorkers:
 def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(monkeypatch):
     dying = _DyingWorkers()
     monkeypatch.setattr(campaigns, "open_workers", lambda *_: contextlib.nullcontext(dying))
-    table = rhec.campaign(short(200))
+    table = rhec.campaign(short(80))
     assert dying.deaths > 10
-    assert_equal_rows(table, rhec.campaign(short(200), workers=1))
+    assert_equal_rows(table, rhec.campaign(short(80), workers=1))
 
 
 def _kill_while_sending():

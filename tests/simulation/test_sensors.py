@@ -116,11 +116,11 @@ def test_faults_of_sensors_are_the_same_on_a_recorded_stream(measured):
 
 
 def test_a_gyro_and_a_heading_make_yaw_and_path_better():
-    """Means of eight training seeds. Measured: yaw 0.57 and 0.40 of that without."""
-    seeds = range(1000, 1008)
+    """Means of four training seeds. Measured: yaw 0.57 and 0.40 of that without."""
+    seeds = range(1000, 1004)
     means = {}
     for sensors in ((), ("gyro",), BOTH):
-        fields = dict(sensors=sensors, duration_s=120.0)
+        fields = dict(sensors=sensors)
         runs = rhec.simulate([dataclasses.replace(SHORT, seed=k, **fields) for k in seeds])
         means[sensors] = [
             np.mean([run.metrics[name] for run in runs])
