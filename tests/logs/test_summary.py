@@ -52,6 +52,7 @@ def test_a_good_log_is_to_be_trusted_and_says_what_is_next(summary):
     assert "x_true_m" in summary.taken["truth, unseen"]
     assert "(--track-width-m)" in summary.asked and "(--wheel-radius-m)" in summary.asked
     assert all(text in str(summary) for text in (summary.asked, summary.verdict, "EKF of ICR"))
+    assert not rhec.log(LOG, track_width_m=0.99).asked
 
 
 def test_a_log_without_turns_does_not_tell_kappa():
@@ -92,11 +93,9 @@ def test_a_log_that_is_refused_has_no_estimate_and_the_reason():
 def test_the_command_prints_it_and_writes_all(capsys, tmp_path):
     LOG.to_csv(tmp_path / "drive.csv", index=False)
     words = ["log", str(tmp_path / "drive.csv"), "--output", str(tmp_path / "out")]
-    words += ["--track-width-m", "0.99"]
     assert main(words) == 0
     said = capsys.readouterr()
     assert "Trust it." in said.out
-    assert "--wheel-radius-m" not in said.out  # nothing is asked for: the width is given
     assert len(pd.read_csv(tmp_path / "out" / "estimates.csv")) == len(LOG)
     assert all((tmp_path / "out" / name).is_file() for name in FILES_OF_SUMMARY)
     # In a notebook's process the first replay says before that it is compiled.
