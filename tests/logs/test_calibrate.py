@@ -1,5 +1,7 @@
 """Calibration of a recorded robot by its log alone; what a replay says of its log."""
 
+import functools
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,17 +17,22 @@ ARM_M = (0.25, -0.1)
 
 @pytest.fixture(scope="module")
 def calibrated():
-    """{position noise [m]: (log, its calibration)}, the antenna off the centre."""
-    logs = {
-        noise: recorded_log(5.0, 120.0, noise_m=noise, seed=3, arm_m=ARM_M) for noise in (0.03, 0.1)
-    }
-    return {noise: (log, rhec.calibrate(log)) for noise, log in logs.items()}
+    """A function of the noise of the positions [m]: a log, the antenna off the centre, and its
+    calibration, which is made when it is first asked for.
+    """
+
+    @functools.cache
+    def of(noise_m):
+        log = recorded_log(5.0, 120.0, noise_m=noise_m, seed=3, arm_m=ARM_M)
+        return log, rhec.calibrate(log)
+
+    return of
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("noise_m", [0.03, 0.1])
 def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
-    _, found = calibrated[noise_m]
+    _, found = calibrated(noise_m)
     told = found.report.loc["noise of the position"]
     assert told["determined"] and told["low"] < noise_m < told["high"]
     assert found["sigma_v"][0] == found["sigma_v"][1] > told["value"]
@@ -50,13 +57,13 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
 
 
 def test_calibration_finds_the_lever_arm(calibrated):
-    _, found = calibrated[0.03]
+    _, found = calibrated(0.03)
     np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
     assert found.report.loc[["antenna ahead", "antenna left"], "determined"].all()
 
 
 def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
-    log, found = calibrated[0.1]
+    log, found = calibrated(0.03)
     errors = [
         (result["theta_hat_rad"] - result["theta_rad"])[len(log) // 4 :].abs().mean()
         for result in (rhec.replay(log, first_yaw_rad=0.4, **how) for how in ({}, found))
@@ -111,7 +118,7 @@ def test_what_the_receiver_declares_is_the_least_noise(wandered):
 @pytest.mark.nightly
 def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
     """Positions hidden for ten seconds judge it: here one that trusts no encoder."""
-    log, found = calibrated[0.03]
+    log, found = calibrated(0.03)
     assert "sigma_v" in found and not any("kept" in remark for remark in found.remarks)
 
     def spoilt_fields(fields, names):
@@ -124,7 +131,7 @@ def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
 
 @pytest.mark.nightly
 def test_calibration_does_not_look_at_the_truth(calibrated):
-    log, found = calibrated[0.03]
+    log, found = calibrated(0.03)
     truth = log.columns[log.columns.str.contains("true")]
     assert len(truth) == 5
     assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found

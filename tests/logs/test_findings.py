@@ -20,6 +20,7 @@ from helpers import TRACK_WIDTH_M, recorded_log
 import rhec
 from rhec import paper
 from rhec.cli import main
+from rhec.logs import path_checks
 from rhec.logs import replay as module
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.recording import prepare
@@ -85,6 +86,18 @@ def gyro(scale=1.0, bias=0.0, sigma=0.005):
 def heading(offset=0.0, sign=1.0, unit=1.0):
     angle = sign * LOG["yaw_true_rad"] + offset + 0.02 * NOISE[:, 0]
     return LOG.assign(heading_rad=unit * ((angle + np.pi) % (2 * np.pi) - np.pi))
+
+
+def spinning():
+    """A robot that turns by 5.2 rad in the 2 s over which turns are compared.
+
+    Wrapped, its heading turns the other way.
+    """
+    t = np.arange(0, 60, 0.1)
+    yaw = 2.6 * t
+    place = dict(x_m=0.2 * np.sin(yaw), y_m=-0.2 * np.cos(yaw))
+    turns = dict(yaw_rate_radps=2.6 / 0.75, heading_rad=np.angle(np.exp(1j * yaw)))
+    return pd.DataFrame(dict(t_s=t, speed_mps=0.55, **place, **turns))
 
 
 def moves_only(speed_mps):
@@ -244,9 +257,11 @@ HEALTHY = {
     "the example": EXAMPLE,
     "without noise": recorded_log(10.0, 100.0),
     "without slip": noisy(0.02, integrated()),
+    "without slip, noise of 5 mm": noisy(0.005, integrated()),
     "in UTM": LOG.assign(x_m=X + 5e5, y_m=Y + 5e6),
     "with a gyro": gyro(bias=0.02),
     "with a heading": heading(),
+    "with a heading that wraps": spinning(),
     "late, then early": pd.concat([late(0.5)[:750], late(-0.6)[750:]]),  # by no one delay
     "in rows of their own": in_rows_of_their_own(0.05),
     "one row late": late(0.1),
@@ -283,6 +298,15 @@ def test_a_lever_arm_is_no_delay(arm_m, seed):
 def test_a_delay_is_found_and_made_up_for(delay_s):
     assert likeliest_delay(prepare(late(delay_s))) == pytest.approx(delay_s, abs=0.1)
     assert rhec.doctor(late(delay_s), position_delay_s=delay_s).ok
+
+
+@pytest.mark.parametrize("share_of_turns, is_late", [(0.81, True), (0.79, False)])
+def test_a_delay_explains_distances_and_turns(share_of_turns, is_late):
+    """One that explains less of the turns than none does is no delay of the positions."""
+    in_time = path_checks._Slope(0.9, 0.01, 0.8), path_checks._Slope(0.8, 0.01, 0.8)
+    late = in_time[0]._replace(share=0.9), in_time[1]._replace(share=share_of_turns)
+    motion = path_checks._Motion(0.5, 0.01, in_time, late)
+    assert path_checks._is_late(motion) == is_late
 
 
 def test_how_many_positions_count_is_always_said():

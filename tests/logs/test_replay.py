@@ -211,7 +211,7 @@ def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     given |= dict(smooth=False, sigma_v=(0.03, 0.03, 0.1, 0.1))
     whole = rhec.replay(log, **given)
     columns = [*ESTIMATE, "sigma_kappa", "innovation_x_m", "ok"]
-    for from_s in generator.uniform(1.0, 39.0, 6):
+    for from_s in generator.uniform(1.0, 39.0, 2):
         past = log[log["t_s"] <= from_s]
         for other in (past, another_future(log, from_s, generator)):
             said = rhec.replay(other, **given)
@@ -230,7 +230,7 @@ def test_the_future_changes_no_estimate_of_a_model(estimator):
         rhec.replay(log, estimator, **given),
         [f"{name}_hat" for name in UNICYCLE.names],
     )
-    for from_s in generator.uniform(1.0, 19.0, 5):
+    for from_s in generator.uniform(1.0, 19.0, 2):
         past = log[log["t_s"] <= from_s]
         for other in (past, another_future(log, from_s, generator)):
             said = rhec.replay(other, estimator, **given)[: len(past)]

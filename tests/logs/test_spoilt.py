@@ -69,7 +69,7 @@ def test_two_files_pasted_together_are_two_drives():
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("delay_s", [0.3, 0.0])
 def test_calibration_measures_the_delay_beside_the_lever_arm(delay_s):
-    log = recorded_log(10.0, 150.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
+    log = recorded_log(10.0, 90.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
     log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(round(10 * delay_s))
     found = rhec.calibrate(log, trust_log=True)
     row = found.terms.loc["delay of the positions"]
@@ -91,7 +91,7 @@ def test_white_noise_does_not_wander(seed):
 
 def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
     """Its errors wander for minutes, which no log shows: 0.02 m of them is white noise."""
-    log = recorded_log(5.0, 150.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)
+    log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)
     found = rhec.calibrate(log)
     assert found.terms.loc["GNSS noise", "value"] == pytest.approx(0.8)
     assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
