@@ -328,6 +328,7 @@ def logs(draw):
     return log.assign(t_s=0.2 * np.arange(rows)) if draw(st.booleans()) else log
 
 
+@pytest.mark.filterwarnings("ignore:The yaw is not known")
 @some(150)
 @given(
     logs() | junk,
