@@ -33,6 +33,7 @@ _SIGMA_C = 0.02  # prior standard deviation of c [m²], for positions accurate t
 _SHARPEST_PER_M = 2.0  # curvature w/n of an interval beyond which the course says little
 # Another clock: path and encoders are compared over a minute either way, in steps of a second.
 _OFFSETS_S = range(-60, 61)
+_BY_ONE_CLOCK_S = range(-2, 3)  # offsets that no other clock has
 _LEAST_OVERLAP_S = 60
 _SAME_SPEED = 0.8  # correlation of both speeds by one clock
 _OTHER_SPEED = 0.6  # and by two
@@ -178,6 +179,11 @@ def _curvature(w, n):
     return np.clip(ratio, -_SHARPEST_PER_M, _SHARPEST_PER_M)
 
 
+def _squares_left(x, y):
+    """The squares that the least-squares fit y = x b leaves, (n,)."""
+    return (y - x @ np.linalg.lstsq(x, y)[0]) ** 2
+
+
 def _fit(x, y):
     """The least-squares fit y = x b: b_0, its standard error, and the squares it leaves, (n,)."""
     b = np.linalg.lstsq(x, y)[0]
@@ -200,7 +206,7 @@ def _compare(tracks, length_s, delay_s):
     # d² = μ² n² + a w² + b n w + c
     x = np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1)
     y = d**2
-    *_, left = _fit(x, y)
+    left = _squares_left(x, y)
     squares = max(np.sum((y - y.mean()) ** 2), left.sum(), 1e-300)
     # At a constant speed the intervals do not determine c, so a prior is added.
     prior = np.sqrt(left.mean()) / _SIGMA_C * np.eye(4)[3:]
@@ -210,7 +216,7 @@ def _compare(tracks, length_s, delay_s):
     root = np.sqrt(weight)
     x = root[:, None] * np.stack([w_turn, bend], axis=1)
     kappa, sigma, left_of_turn = _fit(x, root * turn)
-    *_, without = _fit(x[:, 1:], root * turn)
+    without = _squares_left(x[:, 1:], root * turn)
     share = 1 - left_of_turn.sum() / without.sum() if without.any() else 0.0
     unexplained = left / squares + left_of_turn / max(weight @ turn**2, 1e-300)
     return mu, _Slope(kappa, sigma, share), unexplained
@@ -303,13 +309,13 @@ def check_clock_offset(recording):
     step = step[step.index.diff() == 1]
     path_mps = pd.Series(np.hypot(*step.to_numpy().T), step.index)
     speed_mps = _by_second(rows.dropna(subset=_ENCODERS), _ENCODERS[0]).mean().abs()
-    alike = {}
-    for offset_s in _OFFSETS_S:
-        shifted = speed_mps.set_axis(speed_mps.index + offset_s).reindex(path_mps.index)
-        if shifted.std() > 0 and path_mps.std() > 0:
-            alike[offset_s] = path_mps.corr(shifted, min_periods=_LEAST_OVERLAP_S)
-    alike = pd.Series(alike, dtype=float).dropna()
-    if not len(alike) or alike.max() < _SAME_SPEED or alike.loc[-2:2].max() > _OTHER_SPEED:
+    if len(path_mps) < _LEAST_OVERLAP_S:
+        return
+    # First by one clock: nearly all logs end here, and the other offsets take long.
+    if _alike(path_mps, speed_mps, _BY_ONE_CLOCK_S).max() > _OTHER_SPEED:
+        return
+    alike = _alike(path_mps, speed_mps, _OFFSETS_S)
+    if not len(alike) or alike.max() < _SAME_SPEED:
         return
     best_s = int(alike.idxmax())
     place = ", ".join(recording.columns[name] for name in _POSITION)
@@ -322,6 +328,16 @@ def check_clock_offset(recording):
         "clock_offset",
         "Record all sensors by one clock, such as the computer's.",
     )
+
+
+def _alike(path_mps, speed_mps, offsets_s):
+    """Correlation of the path's speed with that of the encoders, by the offset of their clocks."""
+    alike = {}
+    for offset_s in offsets_s:
+        shifted = speed_mps.set_axis(speed_mps.index + offset_s).reindex(path_mps.index)
+        if shifted.std() > 0 and path_mps.std() > 0:
+            alike[offset_s] = path_mps.corr(shifted, min_periods=_LEAST_OVERLAP_S)
+    return pd.Series(alike, dtype=float).dropna()
 
 
 def _by_second(rows, columns):
