@@ -1,5 +1,7 @@
 """ROS bags written with the library that reads them."""
 
+import functools
+
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -13,15 +15,22 @@ DRIVE = "fpn_msgs/msg/Drive"
 DRIVE_DEFINITION = "std_msgs/Header header\nfloat64[4] speeds\nfloat32 yaw_rate\nstring mode\n"
 
 
+@functools.cache
+def store_of(kind):
+    """The types of a kind of bag. A store compiles each type that it writes, so it is kept."""
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.LATEST)
+    store.register(get_types_from_msg(DRIVE_DEFINITION, DRIVE))
+    if TF not in store.types:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TF))
+    return store
+
+
 def write_bag(folder, kind, messages, packed=None, period_ns=10**6):
     """A bag of (topic, type, stamp [ns], message) in this order, each received a period later.
 
     packed: "BZ2" or "LZ4" for a .bag, "STORAGE" (of chunks) or "MESSAGE" for the others.
     """
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.LATEST)
-    store.register(get_types_from_msg(DRIVE_DEFINITION, DRIVE))
-    if TF not in store.types:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TF))
+    store = store_of(kind)
     types = {topic: name for topic, name, *_ in messages}
     if kind == "bag":
         file, writer = folder / "log.bag", Writer1(folder / "log.bag")

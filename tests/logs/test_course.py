@@ -59,11 +59,11 @@ def test_on_ice_a_wrong_yaw_is_an_uncertain_one(follows_s, seed, smooth):
     assert (error < 1.96 * result["sigma_theta_rad"]).mean() > 0.9
 
 
-@pytest.mark.nightly(keep=4)
 @may_be_unsure  # before the antenna's place is known
-@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.3, -0.1)])
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("noise_m", [0.003, 0.03])
 @pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("arm_m", [(0.3, -0.1), (0.0, 0.0)])
 def test_a_robot_that_does_not_slip_is_not_doubted(seed, noise_m, arm_m):
     """As with PPK, also off the centre of turning, where the antenna swings."""
     log = recorded_log(5.0, 120.0, noise_m=noise_m, seed=seed, arm_m=arm_m)
@@ -83,7 +83,7 @@ def test_noise_of_positions_is_no_side_slip():
 @may_be_unsure
 def test_a_heading_is_believed_on_ice():
     log = on_ice(2.0, 21, duration_s=120.0).assign(heading_rad=lambda each: each["yaw_true_rad"])
-    result = rhec.replay(log, trust_log=True)
+    result = rhec.replay(log, trust_log=True, smooth=False)
     assert (result["sigma_by_course_rad"] == 0).all()
     assert yaw_error(result).max() < 0.5
 
@@ -112,8 +112,8 @@ def test_some_outliers_are_no_side_slip():
 
 @may_be_unsure
 def test_what_comes_later_changes_no_sigma():
-    log = on_ice(2.0, 23)
+    log = on_ice(2.0, 23, 120.0)
     given = dict(first_yaw_rad=0.3, smooth=False, trust_log=True)
     whole = rhec.replay(log, **given)["sigma_theta_rad"]
-    part = rhec.replay(log[:700], **given)["sigma_theta_rad"]
-    np.testing.assert_array_equal(part, whole[:700])
+    part = rhec.replay(log[:400], **given)["sigma_theta_rad"]
+    np.testing.assert_array_equal(part, whole[:400])

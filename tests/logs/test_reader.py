@@ -255,7 +255,7 @@ RANDOM = np.random.default_rng(0)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
     """Odometry and wheel speeds, out of order: every message is there, at its own time, once."""
-    positions, wheels = stamps(30.0, 120.0, 1), stamps(50.0, 120.0, 2)
+    positions, wheels = stamps(30.0, 60.0, 1), stamps(50.0, 60.0, 2)
     x, y = RANDOM.normal(size=(2, len(positions)))
     tracks = RANDOM.normal(size=(2, len(wheels)))
     messages = [
@@ -268,7 +268,7 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
     file = write_bag(tmp_path, kind, shuffled(messages))
     size = sum(each.stat().st_size for each in ([file] if file.is_file() else file.iterdir()))
     log = rhec.logs.read(file, wheel_radius_m=RADIUS)
-    assert size > 4e6 and (log["t_s"].diff()[1:] > 0).all()
+    assert size > 2e6 and (log["t_s"].diff()[1:] > 0).all()
     first = min(positions[0], wheels[0])
     for times, columns, values in (
         (positions, ["x_m", "y_m"], [x, y]),

@@ -13,6 +13,7 @@ from helpers import recorded_log
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
+from rhec.logs.likelihood import Likelihood
 from rhec.logs.recording import prepare, travelled
 from rhec.simulation.columns import ESTIMATE
 
@@ -36,6 +37,12 @@ def in_pairs(log, offset_s):
     return pd.concat([encoders, positions]).sort_values("t_s", ignore_index=True)
 
 
+@pytest.fixture
+def without_a_search(monkeypatch):
+    """A calibration whose noise does not count takes the middle of the priors for the likeliest."""
+    monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
+
+
 def test_rows_of_other_sensors_do_not_shorten_the_drive():
     """A bag counts the metres and turns of its encoders, however often its IMU speaks."""
     alone, among = (prepare(log).rows for log in (LOG, with_imu(LOG)))
@@ -46,11 +53,13 @@ def test_rows_of_other_sensors_do_not_shorten_the_drive():
     assert travelled(among, "omega_meas_radps", 4.0) > 10
 
 
+@pytest.mark.usefixtures("without_a_search")
 def test_a_bag_with_an_imu_is_calibrated():
     found = rhec.calibrate(with_imu(LOG[:300], 30.0), trust_log=True)
     assert "noise of the gyro" in found.report.index
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("offset_s", [18, -18, 37])
 def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
     spoilt = in_pairs(STOPS, offset_s)
@@ -66,12 +75,26 @@ def test_two_files_pasted_together_are_two_drives():
     assert rhec.replay(pasted, trust_log=True)["segment"].nunique() == 2
 
 
-@pytest.mark.nightly(keep=1)
+def late_by(delay_s, duration_s):
+    """A log with positions that are late, of an antenna away from the centre."""
+    log = recorded_log(10.0, duration_s, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
+    log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(round(10 * delay_s))
+    return log
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_the_delay_is_measured_without_the_noise():
+    found = rhec.calibrate(late_by(0.3, 60.0), trust_log=True)
+    row = found.terms.loc["delay of the positions"]
+    assert any("position_delay_s" in remark for remark in found.remarks)
+    assert row["low"] < 0.3 < row["high"]
+    assert row["value"] == pytest.approx(0.3, abs=0.05)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("delay_s", [0.3, 0.0])
 def test_calibration_measures_the_delay_beside_the_lever_arm(delay_s):
-    log = recorded_log(10.0, 90.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
-    log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(round(10 * delay_s))
-    found = rhec.calibrate(log, trust_log=True)
+    found = rhec.calibrate(late_by(delay_s, 150.0), trust_log=True)
     row = found.terms.loc["delay of the positions"]
     assert any("position_delay_s" in remark for remark in found.remarks) == (delay_s > 0)
     assert row["low"] < delay_s < row["high"] and row["high"] - row["low"] < 0.3
@@ -89,6 +112,7 @@ def test_white_noise_does_not_wander(seed):
     np.testing.assert_allclose(found["lever_arm_m"], (0.6, -0.2), atol=0.03)
 
 
+@pytest.mark.usefixtures("without_a_search")
 def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
     """Its errors wander for minutes, which no log shows: 0.02 m of them is white noise."""
     log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)

@@ -3,6 +3,8 @@
 `test_findings` has the logs whose numbers are wrong, however they are written.
 """
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -104,42 +106,42 @@ def of_odometry(kind):
     return messages
 
 
-# name: (messages, options, [all that is said, or the end of the refusal])
+# name: (function of messages, options, [all that is said, or the end of the refusal])
 BAGS = {
-    "as it should be": (drive(), ROBOT, []),
-    "headers without stamps": (drive(is_stamped=False), ROBOT, []),
+    "as it should be": (drive, ROBOT, []),
+    "headers without stamps": (partial(drive, is_stamped=False), ROBOT, []),
     "10 s without a fix": (
-        drive(no_fix=(60.0, 70.0)),
+        partial(drive, no_fix=(60.0, 70.0)),
         ROBOT,
         ["The positions are missing for up to 10.0 s while the robot moves."],
     ),
     "positions by GPS time": (
-        drive(fix_ahead_s=18.0),
+        partial(drive, fix_ahead_s=18.0),
         ROBOT,
         ["The log's x_m, y_m are by a clock about 18 s ahead of that of v_left_mps, v_right_mps, "
          "as GPS time is ahead of UTC; position_delay_s=18 corrects this."],
     ),
     "no radius": (
-        drive(),
+        drive,
         dict(track_width_m=TRACK_WIDTH_M),
         "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need the wheel_radius_m "
         "and then the track_width_m (--wheel-radius-m, --track-width-m)",
     ),
     "no track width": (
-        drive(),
+        drive,
         dict(wheel_radius_m=RADIUS_M),
         [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give a track_width_m "
          "(--track-width-m) for v_left_mps, v_right_mps; it has t_s, latitude, longitude, "
          f"altitude, v_left_mps, v_right_mps, x_m, y_m; {RENAMES}."],
     ),
     "odometry alone": (
-        of_odometry("odom"),
+        partial(of_odometry, "odom"),
         {},
         "the bag's only positions are those of /odom, which are the integral of its own speeds; "
         "record a receiver, or topics=('/odom',) reads them as real positions",
     ),
     "commands alone": (
-        of_odometry("cmd"),
+        partial(of_odometry, "cmd"),
         {},
         "no topic for positions (NavSatFix, PoseStamped, PoseWithCovarianceStamped, Odometry) "
         "among /cmd_vel (geometry_msgs/msg/Twist); columns={'x_m': '/topic.field', …} reads fields "
@@ -151,7 +153,7 @@ BAGS = {
 @pytest.mark.parametrize("name", BAGS)
 def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
     messages, options, said = BAGS[name]
-    file = write_bag(tmp_path, "mcap", messages, period_ns=10**8)
+    file = write_bag(tmp_path, "mcap", messages(), period_ns=10**8)
     options = dict(options)
     width_m = options.pop("track_width_m", None)
     if isinstance(said, str):
