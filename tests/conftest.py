@@ -14,14 +14,16 @@ UNOPTIMISED = HERE / "unoptimised"
 # The files that take longest, some of them with --thorough alone. Parallel workers begin with
 # them, so that no worker is left with one of them at the end.
 LONGEST = (
-    "logs/test_spoilt.py",
     "agreement/test_forms.py",
     "core/test_batch.py",
+    "logs/test_replay.py",
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",
     "embedded/test_export.py",
     "project/test_failing_disk.py",
-    "logs/test_replay.py",
+    "logs/test_findings.py",
+    "logs/test_summary.py",
+    "logs/test_spoilt.py",
     "core/test_any_robot.py",
     "notebooks/test_tutorial.py",
     "project/test_benchmark.py",
