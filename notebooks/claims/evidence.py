@@ -83,6 +83,7 @@ def collect(claims, fields, folder=None):
     numbers = [number for claim in claims.values() for number in claim.beside.values()]
     every = tables_of([*conditions.values(), *numbers])
     driven = driven_tables_of([*conditions.values(), *numbers])
+    made_once = [table for table in every if table not in driven]
     evidence = {}
     findings = {id_: {} for id_ in claims}
     looks = {id_: {} for id_ in claims}
@@ -103,11 +104,12 @@ def collect(claims, fields, folder=None):
             for (id_, name), judge in left.items()
             if _is_open(findings[id_][name])
         }
-        if place == len(fields) - 2:
+        is_last_next = place == len(fields) - 2
+        if is_last_next:
             left = _of_undecided_claims(left, findings)
         driven = driven_tables_of(left.values())
     # Experiments come last, because they use loops that the campaigns have compiled.
-    evidence |= make([table for table in every if table[1] not in _SETS], range(fields[-1]))
+    evidence |= make(made_once, range(fields[-1]))
     for (id_, name), judge in conditions.items():
         if name not in findings[id_]:
             findings[id_][name] = judge(evidence, CONFIDENCE)

@@ -132,7 +132,7 @@ class Course(NamedTuple):
     in_bounds: bool
 
 
-def course(run):
+def course_of(run):
     """The Course of a Run."""
     columns = run.columns
     is_wet = np.zeros(len(columns["t_s"]), bool)
@@ -164,7 +164,8 @@ def response(course, begin_s, end_s):
     until the true error stays within the tolerance for 5 s, NaN if it never does. in_bounds is that
     of the Course.
     """
-    t, error, _, in_bounds = course
+    t = course.t_s
+    error = course.error_m
     # The small tolerance on time allows for rounding of multiples of 0.2 s.
     back = t[settled_samples(error)]
     back = back[back >= end_s - 1e-6]
@@ -172,7 +173,7 @@ def response(course, begin_s, end_s):
         max_during_m=float(error[(t >= begin_s) & (t <= end_s + paper.DT_S)].max()),
         max_after_m=float(error[t >= end_s].max()),
         recovery_s=max(0.0, float(back[0] - end_s)) if len(back) else np.nan,
-        in_bounds=in_bounds,
+        in_bounds=course.in_bounds,
     )
 
 
@@ -199,7 +200,7 @@ def study(base, seeds, estimators, cases=CASES):
     ]
     courses = iter(
         map_runs(
-            course,
+            course_of,
             [
                 scenario(cases[family][name], begin_s, replace(base, seed=seed, **estimators[how]))
                 for family, name, how in every

@@ -147,10 +147,8 @@ def forest(table, baseline):
     figure, panels = panels_beside(len(QUANTITIES), 0.9 + 0.17 * len(others))
     for axes, quantity in zip(panels, QUANTITIES.values()):
         rows = table[table["quantity"] == quantity].set_index("interpretation")
-        most = _scale(rows["change"].drop("baseline"))
+        most = _scale(rows.loc[names, "change"])
         for place, name in enumerate(names):
-            if name not in rows.index:
-                continue
             row = rows.loc[name]
             colour = GREY
             if row.change_low > 0:

@@ -33,7 +33,7 @@ _SIGMA_C = 0.02  # prior standard deviation of c [m²], for positions accurate t
 _SHARPEST_PER_M = 2.0  # curvature w/n of an interval beyond which the course says little
 # Another clock: path and encoders are compared over a minute either way, in steps of a second.
 _OFFSETS_S = range(-60, 61)
-_BY_ONE_CLOCK_S = range(-2, 3)  # offsets that no other clock has
+_BY_ONE_CLOCK_S = range(-2, 3)  # offsets at which both may have the same clock
 _LEAST_OVERLAP_S = 60
 _SAME_SPEED = 0.8  # correlation of both speeds by one clock
 _OTHER_SPEED = 0.6  # and by two
@@ -179,15 +179,15 @@ def _curvature(w, n):
     return np.clip(ratio, -_SHARPEST_PER_M, _SHARPEST_PER_M)
 
 
-def _squares_left(x, y):
-    """The squares that the least-squares fit y = x b leaves, (n,)."""
-    return (y - x @ np.linalg.lstsq(x, y)[0]) ** 2
+def _least_squares(x, y):
+    """The least-squares fit y = x b: b, and the squares it leaves, (n,)."""
+    b = np.linalg.lstsq(x, y)[0]
+    return b, (y - x @ b) ** 2
 
 
 def _fit(x, y):
     """The least-squares fit y = x b: b_0, its standard error, and the squares it leaves, (n,)."""
-    b = np.linalg.lstsq(x, y)[0]
-    squares = (y - x @ b) ** 2
+    b, squares = _least_squares(x, y)
     variance = squares.mean() * np.linalg.pinv(x.T @ x)[0, 0]
     return b[0], np.sqrt(max(variance, 0)), squares
 
@@ -206,7 +206,7 @@ def _compare(tracks, length_s, delay_s):
     # d² = μ² n² + a w² + b n w + c
     x = np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1)
     y = d**2
-    left = _squares_left(x, y)
+    _, left = _least_squares(x, y)
     squares = max(np.sum((y - y.mean()) ** 2), left.sum(), 1e-300)
     # At a constant speed the intervals do not determine c, so a prior is added.
     prior = np.sqrt(left.mean()) / _SIGMA_C * np.eye(4)[3:]
@@ -216,7 +216,7 @@ def _compare(tracks, length_s, delay_s):
     root = np.sqrt(weight)
     x = root[:, None] * np.stack([w_turn, bend], axis=1)
     kappa, sigma, left_of_turn = _fit(x, root * turn)
-    without = _squares_left(x[:, 1:], root * turn)
+    _, without = _least_squares(x[:, 1:], root * turn)
     share = 1 - left_of_turn.sum() / without.sum() if without.any() else 0.0
     unexplained = left / squares + left_of_turn / max(weight @ turn**2, 1e-300)
     return mu, _Slope(kappa, sigma, share), unexplained
@@ -311,7 +311,7 @@ def check_clock_offset(recording):
     speed_mps = _by_second(rows.dropna(subset=_ENCODERS), _ENCODERS[0]).mean().abs()
     if len(path_mps) < _LEAST_OVERLAP_S:
         return
-    # First by one clock: nearly all logs end here, and the other offsets take long.
+    # Nearly all logs have one clock and end here; the other offsets take long.
     if _alike(path_mps, speed_mps, _BY_ONE_CLOCK_S).max() > _OTHER_SPEED:
         return
     alike = _alike(path_mps, speed_mps, _OFFSETS_S)

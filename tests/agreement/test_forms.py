@@ -121,7 +121,7 @@ def on_arm(scenario, run, folder):
 
 
 FORMS = (virtual_machine, live, in_lanes, in_c)
-# Each form of three loops or so; the campaign of tests/simulation/test_lanes.py has more lanes.
+# {loop: its forms in the quick tests}; tests/simulation/test_lanes.py runs more loops in lanes.
 ALWAYS = {
     "rhe": (live, in_lanes, in_c),
     "sensors and faults": FORMS,

@@ -81,7 +81,7 @@ def test_positions_that_contradict_the_encoders_are_not_trusted():
 
 @pytest.mark.usefixtures("for_the_verdict")
 def test_tracks_that_slip_more_than_the_noise_says_are_not_trusted():
-    """Slip that comes and goes over a minute widens no σ, but shows where positions are hidden."""
+    """Slip that comes and goes shows where positions are hidden."""
     log = recorded_log(5.0, 120.0, noise_m=0.02, seed=3)
     rng = np.random.default_rng(2)
     times = np.arange(0, 121, 4.0)

@@ -222,7 +222,7 @@ CASES = {
 def test_commands_and_estimates_stay_in_bounds_in_every_fault_case(case):
     """`notebooks/further/faults.ipynb` shows how well it drives."""
     run = rhec.simulate(fault_study.scenario(case, 12.0, SHORT))
-    course = fault_study.course(run)
+    course = fault_study.course_of(run)
     assert fault_study.response(course, *fault_study.interval_s(course, case, 12.0))["in_bounds"]
 
 
@@ -232,15 +232,15 @@ def test_a_response_follows_from_the_errors():
     error[50:80] = 0.5  # off for 6 s,
     error[95] = 0.2  # then once more, too soon to have been back for 5 s
     made = dataclasses.replace(run, columns=run.columns | {"error_true_m": error})
-    response = fault_study.response(fault_study.course(made), 10.0, 12.0)
+    response = fault_study.response(fault_study.course_of(made), 10.0, 12.0)
     assert response == dict(
         max_during_m=0.5, max_after_m=0.5, recovery_s=pytest.approx(96 * DT - 12.0), in_bounds=True
     )
-    assert fault_study.response(fault_study.course(made), 24.0, 24.0)["recovery_s"] == 0
+    assert fault_study.response(fault_study.course_of(made), 24.0, 24.0)["recovery_s"] == 0
     never = dataclasses.replace(run, columns=run.columns | {"error_true_m": error + 1})
-    assert np.isnan(fault_study.response(fault_study.course(never), 10.0, 12.0)["recovery_s"])
+    assert np.isnan(fault_study.response(fault_study.course_of(never), 10.0, 12.0)["recovery_s"])
     wild = dataclasses.replace(run, columns=run.columns | {"omega_cmd_radps": np.full(150, 0.11)})
-    assert not fault_study.response(fault_study.course(wild), 10.0, 12.0)["in_bounds"]
+    assert not fault_study.response(fault_study.course_of(wild), 10.0, 12.0)["in_bounds"]
 
 
 # Arguments

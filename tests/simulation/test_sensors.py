@@ -116,7 +116,7 @@ def test_faults_of_sensors_are_the_same_on_a_recorded_stream(measured):
 
 
 def test_a_gyro_and_a_heading_make_yaw_and_path_better():
-    """Means of four training seeds. Measured: yaw 0.57 and 0.40 of that without."""
+    """Means of four training seeds."""
     seeds = range(1000, 1004)
     means = {}
     for sensors in ((), ("gyro",), BOTH):
