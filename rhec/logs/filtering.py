@@ -7,7 +7,7 @@ from enum import Enum
 
 import casadi as ca
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -57,7 +57,7 @@ def _correction(loss, n):
         return kalman.update
     if loss is Loss.HUBER:
         return _correct_robustly(2, OUTLIER**2, lambda far: 2 * ca.sqrt(far) - 1)
-    limit = float(chi2.isf(_OUTLIERS, max(n, 1)))
+    limit = float(chdtri(max(n, 1), _OUTLIERS))
     return _correct_robustly(n, limit, lambda far: 1 + ca.log(far))
 
 

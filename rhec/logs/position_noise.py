@@ -6,7 +6,7 @@ covariance tells them: `declared_m`.
 """
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rhec import paper
 from rhec.logs.recording import DECLARED, moves
@@ -32,7 +32,7 @@ def position_sigma_m(rows):
     squares = np.concatenate([_squares(part) for _, part in rows.groupby("segment")])
     if len(squares) < _LEAST:
         return LEAST_M
-    return max(float(np.sqrt(np.median(squares) / chi2.median(2))), LEAST_M)
+    return max(float(np.sqrt(np.median(squares) / chdtri(2, 0.5))), LEAST_M)
 
 
 def _squares(part):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from scipy.stats import binomtest
+from scipy.special import bdtr
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
@@ -195,7 +195,7 @@ def _verdict(recording, diagnosis, traction, comparison, smoothed):
         )
     hidden = int(rhe["n"])
     covered = round(rhe["in 95 %"] * hidden) if hidden else 0
-    if hidden and binomtest(covered, hidden, _HONEST, "less").pvalue < _BY_CHANCE:
+    if hidden and bdtr(covered, hidden, _HONEST) < _BY_CHANCE:
         doubts.append(
             f"σ is too small: {rhe['in 95 %']:.0%} of {hidden} positions that were hidden for 10 s "
             "lie within their 95 %, so the yaw is less certain than said: run rhec calibrate"

@@ -59,7 +59,7 @@ def blocks_of(scenario, n_segments=None, terrain_shape=None):
         *_yaw_rate(len(sensors), interval, has_yaw_drift),
         *_references(horizon, n_segments, scenario.input_reference),
         *_controller(own, horizon, scenario.traction_timing, has_yaw_drift),
-        *_motion(bool(scenario.command_delay), bool(scenario.side_slip_rad)),
+        *_motion(bool(scenario.side_slip_rad)),
         *_log(len(sensors)),
     )
 
@@ -166,14 +166,13 @@ def _compensated(control):
 
 
 @_blocks
-def _motion(is_delayed, slips_sideways):
+def _motion(slips_sideways):
     """The robot's motion until the next sample."""
-    # Eq. (13): the first input is applied at once, or one sample later (interpretation G10).
-    applied = "command@last" if is_delayed else "command"
+    yield Block(applied_command, reads=dict(last="command@last"))
     yield Block(
         robot.drive,
         (paper.DT_S,),
-        reads=dict(omega_radps=applied, yaw_drift_radpm="yaw_drift"),
+        reads=dict(omega_radps="applied", yaw_drift_radpm="yaw_drift"),
         remembers=("pose", "tracks", "integral", "encoders", "rut", "running"),
     )
     if slips_sideways:
@@ -244,6 +243,16 @@ def waiting_yaw_rate():
 def own_step(controller):
     """The Function of a user's Controller."""
     return controller.step
+
+
+def applied_command():
+    """Eq. (13): the first input is applied at once, or one sample later (interpretation G10)."""
+
+    @casadi_function("applied_command", command=_ONE, last=_ONE, command_delay=_ONE)
+    def applied(command, last, command_delay):
+        return dict(applied=ca.if_else(command_delay, last, command))
+
+    return applied
 
 
 def row_of_log(n_z):

@@ -156,6 +156,7 @@ def _settings(scenario, path):
         lower=-scenario.omega_max_radps,
         upper=scenario.omega_max_radps,
         speed_mps=_signed_speed(scenario),
+        command_delay=float(scenario.command_delay),
         disturbance=0.0,  # of the yaw rate, where none is estimated
     )
 
