@@ -4,13 +4,14 @@ from functools import partial
 
 from rhec.simulation.campaigns.batch import (
     compile_lanes,
+    count_samples,
     mean_samples_per_structure,
     one_per_structure,
     samples_per_task,
     simulate_batch,
     split_into_tasks,
 )
-from rhec.simulation.campaigns.workers import map_tasks, open_workers
+from rhec.simulation.campaigns.workers import is_worth_spreading, map_tasks, open_workers
 
 
 def map_runs(function, scenarios):
@@ -22,10 +23,11 @@ def map_runs(function, scenarios):
         return []
     # Scenarios of one structure run together, in lanes, where that pays for compiling them.
     mean_samples = mean_samples_per_structure(scenarios)
-    parallel_map(compile_lanes, one_per_structure(scenarios, mean_samples))
+    large = is_worth_spreading(sum(map(count_samples, scenarios)))
+    parallel_map(compile_lanes, one_per_structure(scenarios, mean_samples), large)
     parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
     task = partial(_of_part, mean_samples=mean_samples, function=function)
-    results = parallel_map(task, parts)
+    results = parallel_map(task, parts, large)
     by_place = {place: result for part in results for place, result in part.items()}
     return [by_place[place] for place in range(len(scenarios))]
 
@@ -35,13 +37,13 @@ def _of_part(part, mean_samples, function):
     return dict(zip(part, simulate_batch(part.values(), function, mean_samples)))
 
 
-def parallel_map(function, arguments):
-    """The function of each argument, in order; three or more are spread over the cores.
+def parallel_map(function, arguments, large=True):
+    """The function of each argument, in order; three or more that are large go to all cores.
 
     What a worker did not finish, because it was killed, is done here.
     """
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
-    with open_workers(None, large=len(tasks) > 2) as workers:
+    with open_workers(None, large=large and len(tasks) > 2) as workers:
         if workers is None:
             answers = [(task, None) for task in tasks]
         else:

@@ -24,17 +24,13 @@ from rhec.simulation.campaigns.batch import (
     samples_per_task,
     split_into_tasks,
 )
-from rhec.simulation.campaigns.workers import are_running, map_tasks, open_workers
+from rhec.simulation.campaigns.workers import is_worth_spreading, map_tasks, open_workers
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import as_list, simulate
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Starting worker processes pays from this number of samples.
-_WORTH_STARTING = 1_000_000
-# Using worker processes that already run pays from this number of samples.
-_WORTH_SPREADING = 200_000
 # With at least this many tasks per worker, all workers finish at about the same time.
 _TASKS_PER_WORKER = 4
 # A task whose worker died is divided into this number of parts before it runs again.
@@ -183,8 +179,7 @@ def _run_all(scenarios, workers):
     samples = sum(map(count_samples, scenarios.values()))
     mean_samples = mean_samples_per_structure(scenarios.values())
     size = samples_per_task(mean_samples)
-    large = samples >= (_WORTH_SPREADING if are_running() else _WORTH_STARTING)
-    with open_workers(workers, large) as pool:
+    with open_workers(workers, is_worth_spreading(samples)) as pool:
         if pool is None:
             for scenario in one_per_structure(scenarios.values(), mean_samples):
                 compile_lanes(scenario)

@@ -22,6 +22,10 @@ from concurrent.futures.process import BrokenProcessPool
 
 from rhec.simulation.campaigns.optional import optional
 
+# Starting worker processes pays from this number of samples.
+_WORTH_STARTING = 1_000_000
+# Using worker processes that already run pays from this number of samples.
+_WORTH_SPREADING = 200_000
 _TASKS_PER_WORKER = 3  # running and queued, so that no worker is idle
 _IDLE_S = 60.0  # idle time after which a worker process ends
 _PARENT_CHECKED_S = 1.0  # interval in which a worker looks whether its parent still runs
@@ -165,9 +169,10 @@ def _interrupts_blocked():
 _local = None  # the workers of this process, which the next campaign reuses
 
 
-def are_running():
-    """Return whether workers run on this machine."""
-    return _local is not None and _local.pool is not None
+def is_worth_spreading(samples):
+    """Return whether this number of samples pays for worker processes on this machine."""
+    are_running = _local is not None and _local.pool is not None
+    return samples >= (_WORTH_SPREADING if are_running else _WORTH_STARTING)
 
 
 def _local_workers(count):
