@@ -166,7 +166,7 @@ def sample(blocks, settings, row, others=()):
     inputs = packed | symbols
     # A scan or log reads every entry, so that results must have no structural zeros.
     outputs = [ca.densify(value) for value in results.values()]
-    options = dict(allow_duplicate_io_names=True, cse=True)
+    options = {"allow_duplicate_io_names": True}
     return ca.Function("sample", [*inputs.values()], outputs, [*inputs], [*results], options)
 
 
