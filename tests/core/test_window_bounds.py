@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import estimator
 from oracles import draw, drive_robot, limits, robots_model, window_by_ipopt
 from robots import BICYCLE, CART, DT, SKID_STEERED
 
@@ -75,6 +76,20 @@ def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart():
         assert np.isfinite(np.concatenate(found[:3])).all() and found.x[0] <= 0.9
         assert np.isnan(mhe.kkt) or mhe.ok
     assert mhe.ok and abs(found.x[0] - 0.1) < 0.05
+
+
+def test_a_window_with_bounds_of_states_restarts_after_a_prediction():
+    """A position moves for good: its fourth sample restarts the window, and solves a free one."""
+    solved = {}
+    for mhe in (estimator(CART, np.zeros(3), horizon=5), bounded(CART, np.zeros(3), 5)):
+        for position in [0.1] * 10 + [-5.0] * 6:
+            mhe.prepare()
+            x = mhe.feedback((position, 0.0)).x
+            solved.setdefault(mhe, []).append(mhe.ok)
+        assert abs(x[0] + 5.0) < 0.05
+    free, with_bounds = solved.values()
+    assert free[10:] == [False] * 3 + [True] * 3
+    assert with_bounds[10:] == [False] * 4 + [True] * 2
 
 
 def unicycle(**options):

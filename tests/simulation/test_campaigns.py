@@ -394,6 +394,18 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     assert not [*tmp_path.iterdir()]
 
 
+def test_runs_that_share_fields_and_noise_are_neighbours():
+    """Loops of eight seeds, which lanes compute together, then those of the next eight."""
+    scenarios = {
+        (estimator, seed): dataclasses.replace(SHORT, estimator=estimator, seed=seed)
+        for estimator in ("rhe", "ekf")
+        for seed in range(16)
+    }
+    (task,) = batch.split_into_tasks(scenarios, samples=10**9)
+    assert [seed // 8 for _, seed in task] == [0] * 16 + [1] * 16
+    assert [estimator for estimator, _ in task] == (["rhe"] * 8 + ["ekf"] * 8) * 2
+
+
 # Workers of its own
 
 
