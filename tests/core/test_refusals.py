@@ -123,6 +123,7 @@ CONTROLLERS = [
     ("r", dict(r=(1.0, -1.0))),
     ("r", dict(r="much")),
     ("r", dict(q=(0.0,) * 3, r=(1.0, 0.0))),
+    ("r", dict(q=(0.0,) * 3, r=(1.0, 0.0), q_y=(1.0,), outputs=dict(v=lambda x, u, p: u[0]))),
     ("qn_factor", dict(qn_factor=-1.0)),
     ("dt", dict(dt=-0.2)),
     ("horizon", dict(horizon=1)),

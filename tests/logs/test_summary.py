@@ -214,7 +214,10 @@ def test_round_numbers_and_unknown_ones_are_what_ros_reads():
 
 
 def test_the_noise_of_an_odometry_is_that_of_its_slip():
-    """White slip speeds of deviation σ in intervals of 0.2 s let it drift by 0.2 σ² a second."""
+    """White slip speeds of deviation σ in intervals of 0.2 s let it drift by 0.2 σ² a second.
+
+    It is that of the centre of turning, wherever the antenna is.
+    """
     n = 50_000
     rng = np.random.default_rng(1)
     sigma = np.array([0.1, 0.05, 0.02])
@@ -224,8 +227,9 @@ def test_the_noise_of_an_odometry_is_that_of_its_slip():
     yaw = np.append(0, np.cumsum(0.2 * (KAPPA * omega + turning))[:-1])
     middle = (yaw + np.append(yaw[1:], yaw[-1])) / 2
     step = 0.2 * (MU * nu + ahead + 1j * left) * np.exp(1j * middle)
-    z = np.append(0, np.cumsum(step)[:-1])
+    z = np.append(0, np.cumsum(step)[:-1]) + (0.6 - 0.2j) * np.exp(1j * yaw)
     samples = pd.DataFrame(0.0, range(n), ["segment", *ESTIMATE, *LEVER_ARM, *MEASUREMENTS])
+    samples[LEVER_ARM] = 0.6, -0.2
     samples[ESTIMATE[:3]] = np.column_stack([z.real, z.imag, yaw])
     # The encoders' mean over the interval that ends at a sample.
     samples[MEASUREMENTS[2:]] = np.column_stack([np.append(0, nu[:-1]), np.append(0, omega[:-1])])
