@@ -296,7 +296,7 @@ def campaign(
         seeds: Number of seeds, from 0.
         folder: Folder of the table campaign.parquet, and of the rows of finished runs, with which
             the same command continues.
-        workers: Processes on this machine; by default one per core, or DASK_SCHEDULER_ADDRESS.
+        workers: Number of processes; by default one per core if that pays.
     """
     if seeds < 1:
         raise ValueError(f"--seeds was {seeds}; it should be at least 1")

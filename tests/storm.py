@@ -1,7 +1,6 @@
 """A long campaign through a storm: workers are killed all the time, the campaign itself once, and
 once the disk is full. 20,000 runs with a worker killed every twelve seconds tell as much as 100,000
-with one a minute. The workers are loky's or, with --cluster, those of a Dask cluster on this
-machine.
+with one a minute.
 
 Each time the command ends it is given again, as a person would. At the end there must be one row
 a run, none lost, twice or with an error, and some are run again here: the same to the last bit.
@@ -14,7 +13,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -55,34 +53,11 @@ class Rows:
         return sum(self.counted.values())
 
 
-@contextlib.contextmanager
-def cluster(options):
-    """A Dask cluster on this machine: its scheduler's address and its process of nannies."""
-    begin = [sys.executable, "-P", "-m"]
-    quiet = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scheduler.json"
-        scheduler = [*begin, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
-        scheduler += ["--no-dashboard", "--scheduler-file", str(file)]
-        workers = [*begin, "distributed.cli.dask_worker", "--scheduler-file", str(file)]
-        workers += ["--nworkers", str(options.workers), "--nthreads", "1", "--no-dashboard"]
-        workers += ["--host", "127.0.0.1", "--local-directory", folder]
-        started = [psutil.Popen(command, cwd=ROOT, **quiet) for command in (scheduler, workers)]
-        try:
-            while not file.exists():
-                time.sleep(0.1)
-            yield json.loads(file.read_text())["address"], started[1]
-        finally:
-            for process in reversed(started):
-                process.terminate()
-                process.wait(60)
-
-
-def workers_of(process, mark):
+def workers_of(process):
     found = []
     for child in process.children(recursive=True):
         with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
-            if mark in " ".join(child.cmdline()):
+            if "popen_loky" in " ".join(child.cmdline()):
                 found.append(child)
     return found
 
@@ -101,31 +76,23 @@ def fill(file):
             pass
 
 
-def attempt(options, rows, log, disk, dask):
-    """The command, once; its return code and what it said.
-
-    dask: The address and the process of `cluster`, or None.
-    """
+def attempt(options, rows, log, disk):
+    """The command, once; its return code and what it said."""
     command = [sys.executable, "-m", "rhec", "campaign", "--seeds", str(options.runs)]
     command += ["-p", "duration_s", str(BASE.duration_s), "--folder", str(options.folder)]
-    environment = dict(os.environ)
-    if dask:
-        environment["DASK_SCHEDULER_ADDRESS"] = dask[0]
-    else:
-        command += ["--workers", str(options.workers)]
+    command += ["--workers", str(options.workers)]
     files = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
-    process = psutil.Popen(command, env=environment, **files)
-    family = (dask[1], "multiprocessing") if dask else (process, "popen_loky")
+    process = psutil.Popen(command, **files)
     before, filler, next_kill = rows.count(), options.folder / "filler", np.inf
     while process.poll() is None:
         time.sleep(0.2)
         done = rows.count()
         try:
-            own, others = megabytes([process]), megabytes(workers_of(*family))
+            own, others = megabytes([process]), megabytes(workers_of(process))
             log["memory"].append((done, own, others))
             if done > before:  # all have started
                 next_kill = min(next_kill, time.monotonic() + options.kill_every_s)
-            if time.monotonic() > next_kill and (living := workers_of(*family)):
+            if time.monotonic() > next_kill and (living := workers_of(process)):
                 living[log["workers_killed"] % len(living)].kill()
                 log["workers_killed"] += 1
                 next_kill = time.monotonic() + options.kill_every_s
@@ -147,7 +114,6 @@ def main():
     parser.add_argument("--runs", type=int, default=20_000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kill-every-s", type=float, default=12.0)
-    parser.add_argument("--cluster", action="store_true", help="workers of a Dask cluster")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/storm")
     options = parser.parse_args()
     if options.runs < 1:
@@ -157,15 +123,14 @@ def main():
         print("the disk is not filled: that takes a disk of its own, which only root may mount")
     log = dict(workers_killed=0, campaigns_killed=0, disks_full=0, memory=[])
     rows, began, ends = Rows(options.folder), time.monotonic(), []
-    with cluster(options) if options.cluster else contextlib.nullcontext() as dask:
-        for _ in range(10):
-            code, out, err = attempt(options, rows, log, disk, dask)
-            ends.append(code)
-            where = f"{time.monotonic() - began:.0f} s, {rows.count()} rows"
-            print(f"{where}: ended with {code}: {(err or out).strip()}", flush=True)
-            assert "Traceback" not in err, err
-            if code == 0:
-                break
+    for _ in range(10):
+        code, out, err = attempt(options, rows, log, disk)
+        ends.append(code)
+        where = f"{time.monotonic() - began:.0f} s, {rows.count()} rows"
+        print(f"{where}: ended with {code}: {(err or out).strip()}", flush=True)
+        assert "Traceback" not in err, err
+        if code == 0:
+            break
     seconds = time.monotonic() - began
 
     kept = {}

@@ -11,7 +11,7 @@ from rhec.simulation.campaigns.batch import (
     simulate_batch,
     split_into_tasks,
 )
-from rhec.simulation.campaigns.workers import is_worth_spreading, map_tasks, open_workers
+from rhec.simulation.campaigns.workers import get_workers, is_worth_spreading, map_tasks
 
 
 def map_runs(function, scenarios):
@@ -43,11 +43,11 @@ def parallel_map(function, arguments, large=True):
     What a worker did not finish, because it was killed, is done here.
     """
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
-    with open_workers(None, large=large and len(tasks) > 2) as workers:
-        if workers is None:
-            answers = [(task, None) for task in tasks]
-        else:
-            answers = [*map_tasks(workers, _apply, tasks)]
+    workers = get_workers(None, large=large and len(tasks) > 2)
+    if workers is None:
+        answers = [(task, None) for task in tasks]
+    else:
+        answers = [*map_tasks(workers, _apply, tasks)]
     results = dict(answer or _apply(task) for task, answer in answers)
     return [results[place] for place in range(len(tasks))]
 

@@ -180,7 +180,7 @@ def test_the_core_stands_alone(name):
     loaded = modules_after(f"rhec.{name}")
     rooms = {module.split(".")[1] for module in loaded if module.startswith("rhec.")}
     assert rooms - {"own_loop"} == {"core", "version"}
-    assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "dask", "IPython"})
+    assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "loky", "IPython"})
 
 
 def test_without_a_model_the_estimator_is_the_papers():
@@ -191,5 +191,5 @@ def test_without_a_model_the_estimator_is_the_papers():
 @pytest.mark.nightly
 def test_a_run_needs_neither_tables_nor_pictures_nor_campaigns():
     loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
-    assert loaded.isdisjoint({"pandas", "matplotlib", "dask", "IPython", "notebooks"})
+    assert loaded.isdisjoint({"pandas", "matplotlib", "loky", "IPython", "notebooks"})
     assert not [name for name in loaded if "campaigns" in name or "lanes" in name]

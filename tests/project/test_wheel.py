@@ -89,7 +89,7 @@ def installed(wheel, tmp_path_factory):
 
 def test_a_plain_install_brings_no_laboratory(extras):
     assert {"casadi", "numpy", "pandas", "pydantic"}.isdisjoint(extras)
-    assert {"jupyterlab", "papermill", "dask", "distributed", "matplotlib"} < {*extras}
+    assert {"jupyterlab", "papermill", "loky", "pyarrow", "matplotlib"} < {*extras}
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(wheel):

@@ -5,14 +5,12 @@ import contextlib
 import dataclasses
 import io
 import itertools
-import json
 import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import tracemalloc
@@ -463,7 +461,6 @@ class _DyingWorkers:
     """Workers in this process that die again and again, more likely the more runs a task has."""
 
     count = 2
-    died = loky.process_executor.TerminatedWorkerError
 
     def __init__(self):
         self.deaths = 0
@@ -473,19 +470,15 @@ class _DyingWorkers:
         future = concurrent.futures.Future()
         if isinstance(task, dict) and self.random.random() < len(task) / 10:
             self.deaths += 1
-            future.set_exception(self.died())
+            future.set_exception(loky.process_executor.TerminatedWorkerError())
         else:
-            future.set_result(function(task))
+            future.set_result((None, function(task)))  # in no file
         return future
-
-    @staticmethod
-    def result_of(future):
-        return future.result()
 
 
 def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(monkeypatch):
     dying = _DyingWorkers()
-    monkeypatch.setattr(campaigns, "open_workers", lambda *_: contextlib.nullcontext(dying))
+    monkeypatch.setattr(campaigns, "get_workers", lambda *_: dying)
     table = rhec.campaign(short(80))
     assert dying.deaths > 10
     assert_equal_rows(table, rhec.campaign(short(80), workers=1))
@@ -510,8 +503,8 @@ def test_a_worker_that_dies_while_it_sends_its_result_stops_nothing():
     done = []
 
     def run():
-        with workers.open_workers(2, large=True) as pool:
-            done.extend(task for task, _ in workers.map_tasks(pool, _large_result, range(3)))
+        pool = workers.get_workers(2, large=True)
+        done.extend(task for task, _ in workers.map_tasks(pool, _large_result, range(3)))
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
@@ -572,122 +565,52 @@ def test_workers_end_where_their_parent_was_killed(tmp_path):
         time.sleep(0.1)
 
 
-# A cluster that is there already
+OTHER_CODE = """
+import rhec
+from pathlib import Path
+from rhec.simulation.campaigns import store
 
-
-@pytest.fixture
-def started():
-    """start(module, arguments, environment): a process that ends with the test."""
-    processes = []
-
-    def start(module, *arguments, **environment):
-        processes.append(
-            subprocess.Popen(
-                [sys.executable, "-P", "-m", f"distributed.cli.{module}", *map(str, arguments)],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=os.environ | dict(PYTHONPATH=str(ROOT)) | environment,
-            )
-        )
-        return processes[-1]
-
-    start.processes = processes
-    yield start
-    for process in processes[::-1]:
-        process.kill()  # they have no children
-    for process in processes:
-        process.wait(timeout=30)
-
-
-LOCAL = ("--host", "127.0.0.1", "--no-dashboard")
-
-
-def scheduler(start, folder):
-    """The address of a scheduler in a process of its own."""
-    file = folder / "scheduler.json"
-    own = ("--port", 0, "--dashboard-address", "127.0.0.1:0", "--scheduler-file", file)
-    start("dask_scheduler", *LOCAL, *own)
-    while not file.exists() or not file.read_text():
-        time.sleep(0.05)
-    return json.loads(file.read_text())["address"]
-
-
-def worker(start, address, folder, **environment):
-    own = ("--nthreads", 1, "--no-nanny", "--local-directory", folder)
-    return start("dask_worker", address, *LOCAL, *own, **environment)
+store.provenance()  # of the code that this process has loaded
+with open(Path(rhec.__file__).parent / "core/estimator/ekf.py", "a") as source:
+    source.write("# a new idea\\n")
+scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(4)]
+try:
+    rhec.campaign(scenarios, workers=2)
+except RuntimeError as error:
+    print(error)
+"""
 
 
 @pytest.mark.nightly
-def test_it_is_the_same_on_a_cluster_of_separate_processes(started, tmp_path, monkeypatch):
-    """A scheduler and two workers, one of which compiles for itself. Nothing of the campaign's own
-    process lies in a folder that others could have made.
-    """
-    (tmp_path / "shared").mkdir()
-    address = scheduler(started, tmp_path)
-    cache = dict(RHEC_CACHE=str(tmp_path / "cache"))
-    processes = [worker(started, address, tmp_path), worker(started, address, tmp_path, **cache)]
-    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "shared"))
-    path = list(sys.path)
-    table = rhec.campaign(short(20), tmp_path / "rows")
-    assert list((tmp_path / "cache").glob("*/library.so"))
-    assert all(process.poll() is None for process in processes)
-    assert list((tmp_path / "shared").iterdir()) == [] and sys.path == path
-    rows = load_rows(store.open_folder(tmp_path / "rows"))
-    assert set(rows) == set(map(store.scenario_key, short(20)))
-    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS")
-    assert_equal_rows(table, rhec.campaign(short(20)))
-
-
-@pytest.mark.nightly
-def test_workers_with_other_code_are_refused(started, tmp_path, monkeypatch):
+def test_workers_with_other_code_are_refused(tmp_path):
+    """The package was edited after the caller had loaded it and before its workers started."""
     for name in ("rhec", "data"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    with open(tmp_path / "rhec" / "core" / "estimator" / "ekf.py", "a") as source:
-        source.write("# a new idea\n")
-    address = scheduler(started, tmp_path)
-    worker(started, address, tmp_path, PYTHONPATH=str(tmp_path))
-    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
-    sentence = (
-        f"a worker of {address} failed .* the worker has source of rhec .* they must be the same"
+    done = subprocess.run(
+        [sys.executable, "-c", OTHER_CODE],
+        env=os.environ | dict(PYTHONPATH=str(tmp_path)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
     )
-    with pytest.raises(RuntimeError, match=sentence):
-        rhec.campaign(short())
+    sentence = r"the worker has source of rhec \w+, but the caller has \w+; they must be the same\n"
+    assert re.fullmatch(sentence, done.stdout), done
 
 
-def io_loops():
-    return [thread for thread in threading.enumerate() if thread.name == "IO loop"]
-
-
-@pytest.mark.nightly
-def test_what_is_missing_of_a_cluster_is_said_so(started, tmp_path, monkeypatch):
-    """No scheduler, no worker, and a scheduler that goes away."""
-    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT_S", 1.0)
-    monkeypatch.setattr(workers, "FIRST_WORKER_TIMEOUT_S", 1.0)
-    before = io_loops()
-    nowhere = "tcp://127.0.0.1:9 nonsense://127.0.0.1 127.0.0.1 tcp://no.such.host.invalid:8786"
-    for address in [*nowhere.split(), "a b"]:
-        monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
-        with pytest.raises(ConnectionError, match=f"DASK_SCHEDULER_ADDRESS was '{address}'"):
-            rhec.campaign(short())
-    assert io_loops() == before
-    address = scheduler(started, tmp_path)
-    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", address)
-    with pytest.raises(ConnectionError, match="has had no worker for 1 s"):
-        rhec.campaign(short())
-    monkeypatch.setattr(workers, "FIRST_WORKER_TIMEOUT_S", 60.0)
-    worker(started, address, tmp_path)
-    monkeypatch.setattr(store, "save_rows", lambda *given: started.processes[0].kill())
-    lost = f"the connection to the scheduler at {address} was lost"
-    with pytest.raises(ConnectionError, match=lost):
-        rhec.campaign(short(40), tmp_path / "rows")
+@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
+    """What they would compute on the virtual machine differs in its last bits."""
+    monkeypatch.setenv("CC", "")  # the caller has found its compiler already
+    with pytest.raises(RuntimeError, match="the worker has C compiler False, but the caller has "):
+        rhec.campaign(short(), workers=3)
 
 
 # Without what is optional
 
 WITHOUT = """
 import sys
-sys.modules.update(dict.fromkeys(["dask", "distributed", "loky", "pyarrow"]))
+sys.modules.update(dict.fromkeys(["loky", "pyarrow"]))
 import rhec
 assert "pandas" not in sys.modules
 scenarios = [rhec.Scenario(estimator="ekf", duration_s=6.0, seed=seed) for seed in range(4)]
@@ -701,7 +624,7 @@ for asked in (dict(workers=2), dict(folder="rows")):
 
 
 @pytest.mark.nightly
-def test_without_loky_dask_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
+def test_without_loky_and_pyarrow_it_runs_in_this_process_and_says_what_to_install(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT],
         env=os.environ | dict(PYTHONPATH=str(ROOT)),
@@ -800,9 +723,8 @@ ALL = loky.cpu_count()
 )
 def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cores):
     monkeypatch.setenv("PYTHON_CPU_COUNT", told)
-    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
-    with workers.open_workers(None, large=True) as pool:
-        assert (pool.count if pool else 1) == cores
+    pool = workers.get_workers(None, large=True)
+    assert (pool.count if pool else 1) == cores
 
 
 # One verb for runs

@@ -1,4 +1,4 @@
-"""A campaign: a table of many closed-loop runs, on this machine or on a Dask cluster."""
+"""A campaign: a table of many closed-loop runs, in this process or in worker processes."""
 
 import collections
 import contextlib
@@ -24,7 +24,7 @@ from rhec.simulation.campaigns.batch import (
     samples_per_task,
     split_into_tasks,
 )
-from rhec.simulation.campaigns.workers import is_worth_spreading, map_tasks, open_workers
+from rhec.simulation.campaigns.workers import get_workers, is_worth_spreading, map_tasks
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import as_list, simulate
 
@@ -50,19 +50,18 @@ def campaign(
 ) -> "pd.DataFrame":
     """Run scenarios and return a table with one row per run.
 
-    The numbers do not depend, to the last bit, on where the scenarios run. Without `workers`, they
-    run on the Dask cluster at DASK_SCHEDULER_ADDRESS. If that is not set, a small campaign runs in
-    this process, a large one in one worker process per core (PYTHON_CPU_COUNT sets another number),
-    where loky is installed. A worker that is killed loses no finished run; a run has failed if
-    three workers died that ran nothing else. A terminal or a notebook shows a progress bar after
-    two seconds.
+    The numbers do not depend, to the last bit, on where the scenarios run. Without `workers`, a
+    small campaign runs in this process, a large one in one worker process per core
+    (PYTHON_CPU_COUNT sets another number), where loky is installed. A worker that is killed loses
+    no finished run; a run has failed if three workers died that ran nothing else. A terminal or a
+    notebook shows a progress bar after two seconds.
 
     Args:
         scenarios: An iterable of rhec.Scenario. Equal scenarios run once.
         folder: Folder of Parquet files with finished runs. With it, the same call continues an
             interrupted campaign. Failed runs, and those of other code, versions or machines, run
             again.
-        workers: Number of processes on this machine, 1 to 1024; 1 is this process.
+        workers: Number of processes, 1 to 1024; 1 is this process.
 
     Returns:
         A DataFrame with one row for each scenario, in their order: the parameters in which the
@@ -72,10 +71,9 @@ def campaign(
 
     Raises:
         ValueError: If an argument is invalid.
-        ImportError: If loky, distributed or pyarrow is needed and not installed.
-        ConnectionError: If no scheduler or no worker answers, or the connection is lost.
-        RuntimeError: If a worker has other code, versions or another machine than this process, or
-            fails otherwise.
+        ImportError: If loky or pyarrow is needed and not installed.
+        RuntimeError: If a worker process differs from this one, because code or packages have
+            changed meanwhile or its compiler failed.
         KeyboardInterrupt: If interrupted; the message has the number of finished runs.
     """
     import pandas as pd  # imported here, because workers do not need it
@@ -179,15 +177,15 @@ def _run_all(scenarios, workers):
     samples = sum(map(count_samples, scenarios.values()))
     mean_samples = mean_samples_per_structure(scenarios.values())
     size = samples_per_task(mean_samples)
-    with open_workers(workers, is_worth_spreading(samples)) as pool:
-        if pool is None:
-            for scenario in one_per_structure(scenarios.values(), mean_samples):
-                compile_lanes(scenario)
-            run_here = functools.partial(_run_task, mean_samples=mean_samples)
-            yield from map(run_here, split_into_tasks(scenarios, size))
-        else:
-            size = min(size, samples / (_TASKS_PER_WORKER * pool.count))
-            yield from _run_on_workers(pool, scenarios, mean_samples, size)
+    pool = get_workers(workers, is_worth_spreading(samples))
+    if pool is None:
+        for scenario in one_per_structure(scenarios.values(), mean_samples):
+            compile_lanes(scenario)
+        run_here = functools.partial(_run_task, mean_samples=mean_samples)
+        yield from map(run_here, split_into_tasks(scenarios, size))
+    else:
+        size = min(size, samples / (_TASKS_PER_WORKER * pool.count))
+        yield from _run_on_workers(pool, scenarios, mean_samples, size)
 
 
 def _run_on_workers(pool, scenarios, mean_samples, size):

@@ -1,14 +1,12 @@
-"""Worker processes: on this machine by loky, on other machines by an existing Dask cluster.
+"""Worker processes on this machine, by loky.
 
-The processes of loky communicate through pipes, so no port is open to other users. The script that
-starts them needs no `if __name__ == "__main__":`.
+They communicate through pipes, so no port is open to other users. The script that starts them needs
+no `if __name__ == "__main__":`.
 """
 
-import concurrent.futures
 import contextlib
 import importlib.util
 import itertools
-import logging
 import os
 import pickle
 import queue
@@ -29,28 +27,39 @@ _WORTH_SPREADING = 200_000
 _TASKS_PER_WORKER = 3  # running and queued, so that no worker is idle
 _IDLE_S = 60.0  # idle time after which a worker process ends
 _PARENT_CHECKED_S = 1.0  # interval in which a worker looks whether its parent still runs
-SCHEDULER_TIMEOUT_S = 10.0
-FIRST_WORKER_TIMEOUT_S = 60.0
 # Each worker uses one core; by default BLAS would start one thread per core in every worker.
 _ONE_THREAD = dict(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
+_existing = None  # the workers of this process, which the next campaign reuses
 
-def open_workers(workers, large):
-    """Return a context with the workers of a campaign, or with None for this process.
+
+def is_worth_spreading(samples):
+    """Return whether this number of samples pays for worker processes."""
+    are_running = _existing is not None and _existing.pool is not None
+    return samples >= (_WORTH_SPREADING if are_running else _WORTH_STARTING)
+
+
+def get_workers(count, large):
+    """Return existing or new workers, or None for this process.
 
     Args:
-        workers: Number of processes on this machine, or None to choose: the cluster at
-            DASK_SCHEDULER_ADDRESS or, if that is not set, one process per core for a large
-            campaign.
+        count: Number of processes, or None to choose: for a large campaign one per core.
         large: Whether starting processes pays.
+
+    Raises:
+        ImportError: If loky is needed and not installed.
     """
-    if workers is None and os.environ.get("DASK_SCHEDULER_ADDRESS"):
-        return _connect(os.environ["DASK_SCHEDULER_ADDRESS"])
-    if workers is None and large and importlib.util.find_spec("loky"):
-        workers = _count_cores()
-    if workers in (None, 1):
-        return contextlib.nullcontext()
-    return contextlib.nullcontext(_local_workers(workers))
+    global _existing
+    if count is None and large and importlib.util.find_spec("loky"):
+        count = _count_cores()
+    if count in (None, 1):
+        return None
+    optional("loky", f"workers={count}")
+    if _existing is None or _existing.count != count:
+        if _existing is not None:
+            _existing.stop()
+        _existing = _Workers(count)
+    return _existing
 
 
 def _count_cores():
@@ -61,15 +70,13 @@ def _count_cores():
     return int(limit) if limit.isdecimal() and int(limit) else loky.cpu_count()
 
 
-class _LocalWorkers:
-    """Worker processes on this machine, started with the first task.
+class _Workers:
+    """Worker processes, started with the first task.
 
     Results come back in files of a private folder; a pipe transfers only their names. If a worker
     is killed while it writes a long message, the reader of the pipe waits for its end for ever. A
     name is so short that the pipe has all of it or nothing.
     """
-
-    died = BrokenProcessPool
 
     def __init__(self, count):
         self.count = count
@@ -79,7 +86,7 @@ class _LocalWorkers:
         )
 
     def submit(self, function, task):
-        """Return the Future of function(task), whose value is for `result_of`."""
+        """Return the Future of function(task), whose result is for `_from_file`."""
         order = _into_file, function, task, self.folder.name
         with _interrupts_blocked():
             if self.pool is not None:
@@ -97,17 +104,6 @@ class _LocalWorkers:
                 initargs=(os.getpid(), self.folder.name),
             )
             return self.pool.submit(*order)
-
-    @staticmethod
-    def result_of(future):
-        """Return the result of a Future that is done."""
-        file, result = future.result()
-        if file is None:
-            return result
-        with open(file, "rb") as content:
-            result = pickle.load(content)
-        os.unlink(file)
-        return result
 
     def stop(self):
         """Kill the processes and their tasks."""
@@ -132,6 +128,16 @@ def _into_file(function, task, folder):
             os.unlink(file)
         return None, result
     return file, None
+
+
+def _from_file(file, result):
+    """Return the result of `_into_file`, and remove its file."""
+    if file is None:
+        return result
+    with open(file, "rb") as content:
+        result = pickle.load(content)
+    os.unlink(file)
+    return result
 
 
 def _end_with_parent(parent, folder):
@@ -166,116 +172,14 @@ def _interrupts_blocked():
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_local = None  # the workers of this process, which the next campaign reuses
-
-
-def is_worth_spreading(samples):
-    """Return whether this number of samples pays for worker processes on this machine."""
-    are_running = _local is not None and _local.pool is not None
-    return samples >= (_WORTH_SPREADING if are_running else _WORTH_STARTING)
-
-
-def _local_workers(count):
-    """Return `count` workers on this machine, existing or new ones."""
-    global _local
-    optional("loky", f"workers={count}")
-    if _local is None or _local.count != count:
-        if _local is not None:
-            _local.stop()
-        _local = _LocalWorkers(count)
-    return _local
-
-
-class _ClusterWorkers:
-    """The workers of a Dask cluster."""
-
-    def __init__(self, client):
-        from distributed import KilledWorker
-
-        self.client = client
-        self.died = KilledWorker
-        self.executor = client.get_executor(pure=False)
-
-    @property
-    def count(self):
-        """Return the current number of threads of all workers."""
-        return max(1, sum(self.client.nthreads().values()))
-
-    def submit(self, function, task):
-        """Return the Future of function(task)."""
-        return self.executor.submit(function, task)
-
-    @staticmethod
-    def result_of(future):
-        """Return the result of a Future that is done."""
-        return future.result()
-
-    def stop(self):
-        """Cancel the tasks of this client."""
-        self.executor.shutdown(wait=False)
-
-
-@contextlib.contextmanager
-def _connect(address):
-    """A context with the workers of the Dask cluster at an address."""
-    distributed = optional("distributed", f"DASK_SCHEDULER_ADDRESS={address}")
-    from dask import config
-
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised here
-    # By default Dask may import from a folder with a fixed name that all users share.
-    private = tempfile.TemporaryDirectory(prefix="rhec-dask-")
-    with private, config.set({"temporary-directory": private.name}):
-        client = _client_at(address, distributed)
-        try:
-            yield _ClusterWorkers(client)
-        except (concurrent.futures.CancelledError, distributed.comm.CommClosedError):
-            raise ConnectionError(
-                f"the connection to the scheduler at {address} was lost"
-            ) from None
-        except Exception as error:
-            reason = f"{type(error).__name__}: {error}"
-            raise RuntimeError(f"a worker of {address} failed ({reason})") from error
-        finally:
-            client.close()
-
-
-def _client_at(address, distributed):
-    """Return a Client that has at least one worker."""
-    try:
-        # A plain connection is tried first, because a Client without a scheduler leaves threads.
-        distributed.utils.LoopRunner().run_sync(_try_connection, address)
-        client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
-    except Exception as error:  # a wrong address may raise any error
-        limit = f"{SCHEDULER_TIMEOUT_S:g} s"
-        message = f"DASK_SCHEDULER_ADDRESS was {address!r}; no scheduler answered in {limit}"
-        raise ConnectionError(message) from error
-    try:
-        client.wait_for_workers(1, FIRST_WORKER_TIMEOUT_S)
-    except TimeoutError as error:
-        client.close()
-        limit = f"{FIRST_WORKER_TIMEOUT_S:g} s"
-        raise ConnectionError(
-            f"the scheduler at {address} has had no worker for {limit}"
-        ) from error
-    return client
-
-
-async def _try_connection(address):
-    from distributed import Security, comm
-
-    settings = Security().get_connection_args("client")
-    await (await comm.connect(address, timeout=SCHEDULER_TIMEOUT_S, **settings)).close()
-
-
 def map_tasks(workers, function, tasks):
     """Yield (task, function(task)) in the order in which the workers finish.
 
-    An error of the function is raised here. The result is None for tasks that were pending when a
-    worker process died. Local workers do not report which task killed the process, so all their
-    pending tasks have the result None.
+    An error of the function is raised here. When a worker dies, nothing tells which task it ran, so
+    all pending tasks have the result None.
 
     Args:
-        workers: The workers of `open_workers`.
+        workers: The workers of `get_workers`.
         function: A function of a task.
         tasks: An iterable of tasks.
     """
@@ -285,7 +189,7 @@ def map_tasks(workers, function, tasks):
     try:
         while True:
             room = _TASKS_PER_WORKER * workers.count - len(pending)
-            for task in itertools.islice(tasks, max(room, 0)):
+            for task in itertools.islice(tasks, room):
                 future = workers.submit(function, task)
                 pending[future] = task
                 future.add_done_callback(finished.put)
@@ -295,8 +199,8 @@ def map_tasks(workers, function, tasks):
             # then the workers could never be stopped.
             future = finished.get()
             result = None
-            with contextlib.suppress(workers.died):
-                result = workers.result_of(future)
+            with contextlib.suppress(BrokenProcessPool):
+                result = _from_file(*future.result())
             yield pending.pop(future), result
     finally:
         if pending:  # interrupted, or an error
