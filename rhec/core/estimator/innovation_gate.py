@@ -223,7 +223,7 @@ def _kinds(window, estimate):
 
 def _quantile(n):
     """The value that a variable χ² with n degrees of freedom exceeds with the gate's share."""
-    from scipy.special import chdtri  # a quarter of a second to load; a compiled RHE needs it not
+    from scipy.special import chdtri  # it takes a quarter of a second to load
 
     return float(chdtri(n, TUNED.share))
 
