@@ -54,6 +54,7 @@ class Rows:
 
 
 def workers_of(process):
+    """The worker processes that a process has started."""
     found = []
     for child in process.children(recursive=True):
         with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended

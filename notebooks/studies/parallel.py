@@ -38,9 +38,14 @@ def _of_part(part, mean_samples, function):
 
 
 def parallel_map(function, arguments, large=True):
-    """The function of each argument, in order; three or more that are large go to all cores.
+    """The function of each argument, in order, on all cores where that pays.
 
     What a worker did not finish, because it was killed, is done here.
+
+    Args:
+        function: A function that other processes can import.
+        arguments: Its arguments; one or two are left to this process.
+        large: Whether they are work enough to start processes.
     """
     tasks = [(function, place, argument) for place, argument in enumerate(arguments)]
     workers = get_workers(None, large=large and len(tasks) > 2)

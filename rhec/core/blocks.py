@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, fields
 import casadi as ca
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import casadi_function, packed_size, unpack
+from rhec.core._casadi.build import OPTIONS, casadi_function, packed_size, unpack
 
 _LAST = "@last"
 
@@ -166,8 +166,8 @@ def sample(blocks, settings, row, others=()):
     inputs = packed | symbols
     # A scan or log reads every entry, so that results must have no structural zeros.
     outputs = [ca.densify(value) for value in results.values()]
-    options = {"allow_duplicate_io_names": True}
-    return ca.Function("sample", [*inputs.values()], outputs, [*inputs], [*results], options)
+    names = [*inputs], [*results]
+    return ca.Function("sample", [*inputs.values()], outputs, *names, OPTIONS[ca.MX])
 
 
 def _read_from_outside(blocks):

@@ -70,7 +70,8 @@ def test_a_small_run_says_what_the_full_one_does(name, monkeypatch):
     small = NOTEBOOKS[name]
     monkeypatch.setenv("RHEC_FIGURES", str(FIGURES))
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
-    # Optimised, as a user has it: without, the drives of the claims take longer than compiling.
+    # With optimised code, as users have it; without, the claims' drives take longer than compiling
+    # saves.
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.delenv("CXX", raising=False)
     # In this process, which imports papermill once for all notebooks.

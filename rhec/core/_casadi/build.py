@@ -6,7 +6,7 @@ from rhec.core._casadi.compiled import loop_symbols
 
 # Eliminating common subexpressions makes the C of SX a tenth shorter. That of MX, which calls other
 # Functions, would be at most a hundredth shorter, and a loop would take twice as long to build.
-_OPTIONS = {
+OPTIONS = {
     ca.SX: {"allow_duplicate_io_names": True, "cse": True},
     ca.MX: {"allow_duplicate_io_names": True},
 }
@@ -31,7 +31,7 @@ def casadi_function(name, symbols=ca.SX, /, **shapes):
         outputs = body(**arguments)
         if hasattr(outputs, "_asdict"):
             outputs = outputs._asdict()
-        names = [*inputs], [*outputs], _OPTIONS[symbols]
+        names = [*inputs], [*outputs], OPTIONS[symbols]
         return ca.Function(name, [*inputs.values()], [*outputs.values()], *names)
 
     return decorate
@@ -60,13 +60,13 @@ def short_cut(flag):
             return whole
         place = whole.index_in(flag)
         names = whole.name_in(), whole.name_out()
-        inputs = whole.sx_in()
-        outputs = whole.call([*inputs[:place], ca.SX(1), *inputs[place + 1 :]])
-        short = ca.Function(f"{whole.name()}_short", inputs, outputs, *names, _OPTIONS[ca.SX])
+        symbols = whole.sx_in()
+        results = whole.call([*symbols[:place], ca.SX(1), *symbols[place + 1 :]])
+        short = ca.Function(f"{whole.name()}_short", symbols, results, *names, OPTIONS[ca.SX])
         either = ca.Function.if_else(f"{whole.name()}_or_not", short, whole)
         inputs = whole.mx_in()
         outputs = either.call([inputs[place], *inputs])
-        return ca.Function(whole.name(), inputs, outputs, *names, _OPTIONS[ca.MX])
+        return ca.Function(whole.name(), inputs, outputs, *names, OPTIONS[ca.MX])
 
     return decorate
 
