@@ -79,7 +79,7 @@ def unoptimised_processes():
     with pytest.MonkeyPatch.context() as patch:
         if compiled.compiler():
             patch.setenv("CC", str(UNOPTIMISED / "cc"))
-        if lanes._compiler():
+        if lanes.cpp_compiler():
             patch.setenv("CXX", str(UNOPTIMISED / "c++"))
         yield
 

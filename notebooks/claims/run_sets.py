@@ -98,6 +98,8 @@ RUNS = {
     "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
     "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
     "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
 }
 LOGS = {
     "rhe": dict(),
@@ -113,8 +115,6 @@ LOGS = {
     "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
     "augmented_ekf": dict(estimator="augmented_ekf"),
     "bounded_ekf": dict(estimator="bounded_ekf"),
-    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
-    "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
     "q2": dict(q=paper.Q2) | _ON_ROW,
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
     "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),

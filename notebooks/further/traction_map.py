@@ -62,7 +62,7 @@ def soil(kappa, variation):
     )
 
 
-def _told(terrain, error):
+def told_soil(terrain, error):
     """A terrain of which the robot is told a κ with this error, or that there is no slip."""
     told = np.ones(2)
     if error != NO_SLIP:
@@ -71,7 +71,7 @@ def _told(terrain, error):
     return Told(terrain.mu, terrain.kappa, terrain.origin_m, terrain.cell_m, tuple(told.tolist()))
 
 
-def _loops(kappa):
+def loops(kappa):
     """The loops that drive on a soil of this mean κ: no robot is told a κ above 1."""
     errors = [error for error in ERRORS if kappa + error < 1 + _ROUNDING]
     return [ESTIMATED, WITH_PAPERS_R, *errors, NO_SLIP]
@@ -108,7 +108,7 @@ def _drives(fields, loop, settings):
         return [dataclasses.replace(each, estimator="bounded_ekf", **settings) for each in fields]
     return [
         dataclasses.replace(
-            each, estimator="fixed_traction", terrain=_told(each.terrain, loop), **settings
+            each, estimator="fixed_traction", terrain=told_soil(each.terrain, loop), **settings
         )
         for each in fields
     ]
@@ -135,7 +135,7 @@ def drive(kappas, seeds, training_fields):
         or the error of the κ that it is told.
     """
     training = _fields(kappas, range(_TRAINING, _TRAINING + training_fields))
-    every = [(*place, loop) for place in training for loop in _loops(place[0])]
+    every = [(*place, loop) for place in training for loop in loops(place[0])]
     tried = {
         (*name, number): _drives(training[name[:2]], name[-1], settings)
         for name in every

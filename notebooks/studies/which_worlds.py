@@ -272,7 +272,7 @@ def measured(run):
     metrics = run.metrics
     settled_s = metrics["settling_time_s"]
     near = (run.columns["mu_hat"] >= 0.9) & (run.columns["kappa_hat"] >= 0.9)
-    excursions, row_m = _on_rows(run, 0.0 if np.isnan(settled_s) else settled_s)
+    excursions, row_m = on_rows(run, 0.0 if np.isnan(settled_s) else settled_s)
     return dict(
         error=metrics["mean_error_m"],
         violations=metrics["violations"],
@@ -285,7 +285,7 @@ def measured(run):
     )
 
 
-def _on_rows(run, settled_s):
+def on_rows(run, settled_s):
     """How often a robot that has arrived leaves the tolerance by raw GNSS, on how many metres."""
     c = run.columns
     counted = c["on_straight"] & (c["t_s"] >= settled_s + SETTLING_SAMPLES * paper.DT_S)
@@ -340,7 +340,7 @@ _KEPT = dict(
 )
 
 
-def _packed(table):
+def pack(table):
     """A table of `drive` as bytes: errors between 5 mm and 0.8 m to 2 %, the rest by _STEPS."""
     columns = {}
     for variant in [name for name in VARIANTS if name in table.columns.unique(0)]:
@@ -357,8 +357,8 @@ def _packed(table):
     return pd.DataFrame(columns, table.index)
 
 
-def _unpacked(table):
-    """The reverse of `_packed`, up to rounding."""
+def unpack(table):
+    """The reverse of `pack`, up to rounding."""
     table = table.where(table <= _MOST).astype(float)
     table.columns = pd.MultiIndex.from_tuples([tuple(name.split(".")) for name in table.columns])
     for variant, name in table.columns:
@@ -381,7 +381,7 @@ def _write(packed, file):
 
 def prior_drives():
     """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return _unpacked(_indexed(pd.read_parquet(PRIOR_DRIVES)))
+    return unpack(_indexed(pd.read_parquet(PRIOR_DRIVES)))
 
 
 def posterior_drives():
@@ -390,7 +390,7 @@ def posterior_drives():
     Returns:
         As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
     """
-    drives = _unpacked(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
+    drives = unpack(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
     rows = DRAWS * FIELDS
     return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
 
@@ -748,7 +748,7 @@ def repeated(worlds):
     rows = []
     for world in worlds:
         fields = fields_of(worlds_at(unit[[world]]).iloc[0])
-        now = _packed(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(int)
+        now = pack(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(int)
         then = stored.iloc[FIELDS * world : FIELDS * (world + 1)].to_numpy(int)
         off = np.abs(now - then)
         rows.append(dict(numbers=off.size, different=np.sum(off > 0), steps=off.max()))
@@ -777,7 +777,7 @@ def drive_prior(n, folder):
         if not file.exists():
             unit = every[first : first + _BLOCK]
             fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
-            packed = _packed(drive(fields, FIRST_SEED + FIELDS * first))
+            packed = pack(drive(fields, FIRST_SEED + FIELDS * first))
             unfinished = file.with_suffix(".unfinished")
             _write(packed, unfinished)
             unfinished.replace(file)
@@ -790,7 +790,7 @@ def drive_posterior():
     """Drive the posterior's worlds and copies of its centre; packed rows (`posterior_drives`)."""
     middle = centre() | centre_drive() | centre_noise()
     worlds = [*posterior_worlds(), *[middle] * CENTRE_COPIES]
-    return _packed(drive(worlds, _UNUSED_SEED, tuple(VARIANTS)))
+    return pack(drive(worlds, _UNUSED_SEED, tuple(VARIANTS)))
 
 
 def main():

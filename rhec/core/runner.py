@@ -257,7 +257,8 @@ def _by_block(array, length):
 
 def _flat(value, size):
     """A setting as a vector, column by column; a number may stand for equal ones."""
-    return np.broadcast_to(np.ravel(value, order="F"), (size,))
+    flat = np.ravel(value, order="F")
+    return flat if len(flat) == size else np.broadcast_to(flat, (size,))
 
 
 def _interleave(array, values):

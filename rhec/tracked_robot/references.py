@@ -36,7 +36,7 @@ def pose_at(s, segments, period_m):
     return ca.vertcat(*advance(row[1], row[2], row[3], row[4], s - row[0], ca)), row[4]
 
 
-def _closest(xy, s, segments, period_m, iterations=2):
+def closest(xy, s, segments, period_m, iterations=2):
     """Arc length closest to xy (2,), by Newton's method from s.
 
     It solves r'(s) · (xy - r(s)) = 0, whose left side is the distance ahead, and whose derivative
@@ -78,7 +78,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
         # The distance over ground in one sample; the search starts where the robot should be now.
         pace = ca.fabs(mu * nu) * dt_s
-        s = _closest(ca.vertcat(x, y), s + pace, segments, period_m)
+        s = closest(ca.vertcat(x, y), s + pace, segments, period_m)
         points = (s + look_ahead_m + i * pace for i in range(horizon + 1))
         poses, curvatures = zip(*(pose_at(point, segments, period_m) for point in points))
         _, curvature = pose_at(s, segments, period_m)

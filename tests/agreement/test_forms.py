@@ -67,7 +67,7 @@ def live(scenario, run, folder):
 
 def in_lanes(scenario, run, folder, load=lanes.load):
     """Eight runs that differ in all that no structure holds: side by side, the same bits."""
-    if lanes._compiler() is None:
+    if lanes.cpp_compiler() is None:
         pytest.skip("there is no C++ compiler")
     scenarios = [*unlike(scenario)]
     setups = [*map(closed_loop.set_up, scenarios)]
@@ -227,7 +227,7 @@ def fused_model(name, folder):
 
 def model_in_lanes(name, folder):
     """Runs of unlike length, and more than there are lanes, have the bits of single ones."""
-    if lanes._compiler() is None:
+    if lanes.cpp_compiler() is None:
         pytest.skip("there is no C++ compiler")
     runs = []
     for seed, samples in enumerate((48, 50, 7, 120, 48, 1, 60, 60, 33)):

@@ -307,7 +307,7 @@ def test_without_lanes_it_is_the_same_and_says_so(what, monkeypatch, capsys):
         getattr(given, f"make_{what}"),
         given.wishes if what == "rhc" else given.readings,
     )
-    monkeypatch.setattr(lanes, "_compiler", lambda: None)
+    monkeypatch.setattr(lanes, "cpp_compiler", lambda: None)
     lanes.load.cache_clear()
     cache.warn_once.cache_clear()
     batch = rhec.batch(make(), RUNS)
@@ -324,7 +324,7 @@ def test_without_a_compiler_it_is_the_same_up_to_rounding():
     given = problem("skid_steered")
     in_turn(given.make_rhe, given.readings, 9)
     with no_compiler(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lanes, "_compiler", lambda: None)
+        patch.setattr(lanes, "cpp_compiler", lambda: None)
         lanes.load.cache_clear()
         batch = rhec.batch(given.make_rhe(), RUNS)
         expected = in_turn(given.make_rhe, given.readings, 9)

@@ -85,14 +85,14 @@ def test_a_lock_is_that_of_the_file_that_is_there(tmp_path, monkeypatch):
         return take(file, operation)
 
     def wait_and_hold():
-        with cache._locked(lock):
+        with cache.locked(lock):
             held.append(lock.exists() and lock.stat().st_ino)
             may_end.wait(60)
 
     take = fcntl.flock
     monkeypatch.setattr(fcntl, "flock", flock)
     waiting = threading.Thread(target=wait_and_hold)
-    with cache._locked(lock):
+    with cache.locked(lock):
         waiting.start()
         assert waits.wait(60)
     while not held:

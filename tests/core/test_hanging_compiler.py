@@ -25,7 +25,7 @@ def test_a_compiler_that_never_tells_its_version_is_none(hanging):
 
 def test_a_compiler_of_lanes_that_never_tells_its_macros_is_none(hanging, monkeypatch):
     monkeypatch.setattr(compiled, "compiler", lambda: "cc")
-    assert lanes._compiler.__wrapped__() is None
+    assert lanes.cpp_compiler.__wrapped__() is None
 
 
 def test_a_compiler_that_never_ends_fails(hanging, tmp_path):

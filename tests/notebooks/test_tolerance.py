@@ -85,7 +85,7 @@ def test_a_lap_is_that_of_the_longest_drive(monkeypatch):
     found = tolerance.laps(scenarios)
     longest = [
         tolerance.lap(
-            rhec.simulate(dataclasses.replace(each, duration_s=tolerance._longest_s(each)))
+            rhec.simulate(dataclasses.replace(each, duration_s=tolerance.longest_s(each)))
         )
         for each in scenarios
     ]

@@ -21,13 +21,13 @@ def made_up(ratio_of):
         (kappa, variation, loop): fields / ratio_of(kappa, variation, loop)
         for kappa in MEANS
         for variation in traction_map.VARIATIONS
-        for loop in traction_map._loops(kappa)
+        for loop in traction_map.loops(kappa)
     }
 
 
 def test_no_robot_is_told_of_more_traction_than_there_can_be():
     for kappa in MEANS:
-        errors = [loop for loop in traction_map._loops(kappa) if isinstance(loop, float)]
+        errors = [loop for loop in traction_map.loops(kappa) if isinstance(loop, float)]
         assert 0.0 in errors and max(errors) <= 1 - kappa + 1e-6
 
 
@@ -39,7 +39,7 @@ def test_a_robot_drives_by_what_it_is_told(told, expected):
         kappa_mean=0.8, kappa_deviation=0.0,
     )  # fmt: skip
     soil = random_for(scenario, path_of(scenario))
-    run = rhec.simulate(dataclasses.replace(scenario, terrain=traction_map._told(soil, told)))
+    run = rhec.simulate(dataclasses.replace(scenario, terrain=traction_map.told_soil(soil, told)))
     np.testing.assert_allclose(run.log[["mu_hat", "kappa_hat"]], [expected] * len(run.log))
     np.testing.assert_allclose(run.log[["mu", "kappa"]], [(0.88, 0.8)] * len(run.log))
 

@@ -151,7 +151,7 @@ def test_excursions_are_counted_with_their_exposure():
     c["on_straight"][:] = True
     for sample in (60, 61, 62, 82):
         c["error_m"][sample] = 0.2
-    excursions, row_m = which_worlds._on_rows(run, 5.0)
+    excursions, row_m = which_worlds.on_rows(run, 5.0)
     late = c["t_s"] >= 10.0
     steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
     assert excursions == 2 and row_m == pytest.approx(steps_m[late[1:]].sum())
@@ -187,7 +187,7 @@ def test_files_hold_what_the_code_drives():
 
 def test_bytes_hold_a_table_up_to_rounding():
     drives = which_worlds.prior_drives().iloc[:64]
-    again = which_worlds._unpacked(which_worlds._packed(drives))
+    again = which_worlds.unpack(which_worlds.pack(drives))
     pd.testing.assert_frame_equal(again, drives)
 
 
@@ -221,5 +221,5 @@ def test_an_interrupted_campaign_goes_on_with_the_blocks_that_it_kept(monkeypatc
     more = which_worlds.drive_prior(10, tmp_path)
     assert driven == [0, 4, 8]
     assert len(few) == 3 * which_worlds.FIELDS
-    stored = which_worlds._packed(drives.iloc[: 10 * which_worlds.FIELDS])
+    stored = which_worlds.pack(drives.iloc[: 10 * which_worlds.FIELDS])
     assert np.array_equal(more, stored)

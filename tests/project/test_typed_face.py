@@ -62,7 +62,7 @@ def test_a_loop_of_ones_own() -> None:
 
 
 def test_any_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lanes, "_compiler", lambda: None)  # values are compared elsewhere
+    monkeypatch.setattr(lanes, "cpp_compiler", lambda: None)  # values are compared elsewhere
     model = rhec.Model(
         states=("x_m",),
         inputs=("v_mps",),

@@ -122,7 +122,7 @@ def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path
     monkeypatch.setattr(closed_loop, "simulate_setup", lambda *run: 1 / 0)
     again = rhec.campaign(scenarios, folder=tmp_path, workers=1)
     pd.testing.assert_frame_equal(again[expected.columns], expected)
-    if lanes._compiler():
+    if lanes.cpp_compiler():
         monkeypatch.setattr(batch, "_WORTH_COMPILING", 0)
         in_lanes = rhec.campaign(scenarios, workers=1)
         pd.testing.assert_frame_equal(in_lanes[expected.columns], expected)

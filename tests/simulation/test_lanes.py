@@ -19,7 +19,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
 
-pytestmark = pytest.mark.skipif(lanes._compiler() is None, reason="there is no C++ compiler")
+pytestmark = pytest.mark.skipif(lanes.cpp_compiler() is None, reason="there is no C++ compiler")
 
 
 def load_as_in_use(build, *structure):
@@ -46,7 +46,7 @@ def rows_of(folder, **fields):
     """Rows of a run by a library made in this folder."""
     folder.mkdir()
     setup = closed_loop.set_up(dataclasses.replace(SMALL, **fields))
-    lanes._compile(folder, closed_loop.build_sample(*setup.structure))
+    lanes.compile_block(folder, closed_loop.build_sample(*setup.structure))
     if not (folder / "library.so").exists():
         return None
     noise = closed_loop.noise_and_faults(0, (), 100)
@@ -203,7 +203,7 @@ def test_a_helper_on_one_line_takes_no_other_helper_with_it():
     memory, stream = ca.MX.sym("memory"), ca.MX.sym("stream", 3)
     function = ca.Function("found", [x], [found])
     step = ca.Function("step", [memory, stream], [memory, function(stream)])
-    text = lanes._text(step)
+    text = lanes.text_of(step)
     assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 
@@ -246,17 +246,19 @@ def test_what_has_no_lanes_runs_one_by_one(always):
 def test_without_a_cpp_compiler_the_rows_are_the_same(always, monkeypatch):
     scenarios = [*unlike(SMALL)]
     table = rhec.campaign(scenarios, workers=1)
-    monkeypatch.setattr(lanes, "_compiler", lambda: None)
+    monkeypatch.setattr(lanes, "cpp_compiler", lambda: None)
     lanes.load.cache_clear()
     assert rhec.campaign(scenarios, workers=1).equals(table)
     lanes.load.cache_clear()
 
 
 def test_another_processor_has_another_library(monkeypatch):
-    here = lanes._name(build_functions, ())
-    compiler, macros = lanes._compiler()
-    monkeypatch.setattr(lanes, "_compiler", lambda: (compiler, macros + "#define __AVX1024F__ 1"))
-    assert lanes._name(build_functions, ()) != here
+    here = lanes.library_name(build_functions, ())
+    compiler, macros = lanes.cpp_compiler()
+    monkeypatch.setattr(
+        lanes, "cpp_compiler", lambda: (compiler, macros + "#define __AVX1024F__ 1")
+    )
+    assert lanes.library_name(build_functions, ()) != here
 
 
 # Elementary functions

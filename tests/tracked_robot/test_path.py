@@ -106,7 +106,7 @@ def test_the_loop_and_the_evaluation_see_the_same_path(name):
     pose_at, rng = ca.Function("pose_at", [s], [pose, c]), np.random.default_rng(1)
     xy = ca.SX.sym("xy", 2)
     closest = ca.Function(
-        "closest", [xy, s], [refs._closest(xy, s, path.segments.T, path.period_m, 6)]
+        "closest", [xy, s], [refs.closest(xy, s, path.segments.T, path.period_m, 6)]
     )
     for place in rng.uniform(0.3, path.length_m - 0.3, 40):
         (expected,), (curvature,) = path.poses([place])

@@ -68,7 +68,7 @@ def _load_or_remove(root, name, load):
     try:
         return load(root / name)
     except (OSError, RuntimeError):
-        with contextlib.suppress(OSError), _locked(root / f"building-{name}.lock"):
+        with contextlib.suppress(OSError), locked(root / f"building-{name}.lock"):
             shutil.rmtree(root / name)
         raise
 
@@ -104,7 +104,7 @@ def _digests(folder):
 def _build(root, name, build):
     """Fill the folder, unless another process does so meanwhile."""
     folder = root / name
-    with _locked(root / f"building-{name}.lock"):
+    with locked(root / f"building-{name}.lock"):
         if _is_whole(folder):
             return
         for unfinished in root.glob(f"building-{name}-*"):  # by a process that was killed
@@ -121,7 +121,7 @@ def _build(root, name, build):
 
 
 @contextlib.contextmanager
-def _locked(path):
+def locked(path):
     """Be the only process that holds the lock of this file; the lock ends with its process."""
     while True:
         with path.open("a") as lock:

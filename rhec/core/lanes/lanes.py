@@ -79,7 +79,7 @@ def _call_if_else(match):
 
 
 @functools.cache
-def _compiler():
+def cpp_compiler():
     """Return the C++ compiler and its macros, which identify the processor; None without lanes."""
     compiler = shutil.which(os.environ.get("CXX", "c++")) or shutil.which("clang++")
     if not (compiler and compiled.compiler()):
@@ -89,13 +89,14 @@ def _compiler():
     return None if macros is None else (compiler, macros)
 
 
-def _name(build, structure):
-    return compiled.library_name(build, structure, "lanes", *_compiler())
+def library_name(build, structure):
+    """As `compiled.library_name`; it differs by C++ compiler and processor, too."""
+    return compiled.library_name(build, structure, "lanes", *cpp_compiler())
 
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return not _compiler() or cache.contains(_name(build, structure))
+    return not cpp_compiler() or cache.contains(library_name(build, structure))
 
 
 @functools.cache
@@ -104,14 +105,14 @@ def load(build, *structure):
 
     `build` returns {block, step}: the Function of a call, and that of a sample, if it is another.
     """
-    if not _compiler():
+    if not cpp_compiler():
         return None
-    name = _name(build, structure)
+    name = library_name(build, structure)
     # Built first, because an error in the structure is not the compiler's failure.
     functions = None if cache.contains(name) else build(*structure)
 
     def make(place):
-        _compile(place, functions or build(*structure))
+        compile_block(place, functions or build(*structure))
 
     def open_block(folder):
         return InLanes(folder) if (folder / "library.so").exists() else None
@@ -132,28 +133,28 @@ def programs(build, structures):
     return [OneByOne(compiled.load(build, *structure)["block"]) for structure in structures]
 
 
-def _text(function, name=None):
+def text_of(function, name=None):
     """Return the C++ of a Function, for lanes."""
     generator = ca.CodeGenerator(f"{name or function.name()}.c")
     generator.add(function)
     return f'extern "C" {{\n{_vectorise(generator.dump())}}}\n'
 
 
-def _compile(place, functions):
+def compile_block(place, functions):
     """Compile Functions {block, step} into a folder, which has no library.so if that fails."""
     # Compared with -O1, -O2 takes a third longer to compile; campaigns gain 3 to 20 %. The last
     # level counts, so the flags of `compiled` may say another.
-    compiler, macros = _compiler()
+    compiler, macros = cpp_compiler()
     flags = ["-O2", *compiled.FLAGS, "-std=gnu++17", "-march=native", "-w", "-Dcasadi_real=lanes"]
     if "__clang__" not in macros:
         flags += _GCC_FLAGS
     header = Path(__file__).with_name("lanes.h")
     command = [compiler, *flags, "-include", header, f"-I{compiled.HEADERS}"]
-    key = _compiler(), flags, compiled.source_digest()
+    key = cpp_compiler(), flags, compiled.source_digest()
     function = functions["block"]
-    text = _text(function, "code")
+    text = text_of(function, "code")
     with contextlib.suppress(OSError, cache.UnusableError):
-        compile_by_parts(place, text, functions.get("step", function), _text, key, command)
+        compile_by_parts(place, text, functions.get("step", function), text_of, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
     shapes = {name: function.size_out(name) for name in function.name_out()}
     (place / "block.json").write_text(json.dumps([sizes, shapes]))

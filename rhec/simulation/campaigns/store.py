@@ -67,7 +67,7 @@ def _canonical_text(value):
 
 
 @functools.cache
-def _example_metrics():
+def example_metrics():
     """Return metrics of a run with one sample of zeros, for their names and types."""
     names = (*closed_loop.COLUMNS, "t_s", "error_m", "error_true_m")
     columns = dict.fromkeys(names, np.zeros(1))
@@ -79,7 +79,7 @@ def failed_row(error):
     """Return the row of a failed run: its metrics are NaN or False."""
     row = {
         name: False if isinstance(value, bool) else np.nan
-        for name, value in _example_metrics().items()
+        for name, value in example_metrics().items()
     }
     return row | dict(error=error)
 
@@ -91,7 +91,7 @@ class Rows:
     """
 
     def __init__(self):
-        self._names = list(_example_metrics())
+        self._names = list(example_metrics())
         self._places = {}  # {key: place of its row}
         self._metrics = array("d")  # row after row
         self._errors = {}  # {place: reason} of failed runs
@@ -125,7 +125,7 @@ class Rows:
         columns = {}
         table = np.frombuffer(self._metrics).reshape(-1, len(self._names))[places]
         self._metrics = array("d")
-        for values, (name, example) in zip(table.T, _example_metrics().items()):
+        for values, (name, example) in zip(table.T, example_metrics().items()):
             if isinstance(example, bool | int) and np.isfinite(values).all():
                 values = values.astype(type(example))
             columns[name] = values
@@ -153,7 +153,7 @@ def _schema():
     import pyarrow as pa
 
     types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
-    metrics = {name: types[type(value)] for name, value in _example_metrics().items()}
+    metrics = {name: types[type(value)] for name, value in example_metrics().items()}
     return pa.schema(dict(key=pa.string()) | metrics)
 
 
