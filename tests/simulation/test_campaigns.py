@@ -447,7 +447,7 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
     table = rhec.campaign(scenarios, tmp_path, workers=2)
     assert killed and not killed[0].is_running()
     assert list(table.index[table["error"] != ""]) == [3]
-    assert table.loc[3, "error"] == "KilledWorker: every worker that ran it died"
+    assert table.loc[3, "error"] == "BrokenProcessPool: every worker that ran it died"
     assert_equal_rows(table.drop(index=3), rhec.campaign(short(3) + short(40)))
     # Nor has any of these processes a port that others could connect to.
     family = [psutil.Process(), *psutil.Process().children(recursive=True)]

@@ -205,7 +205,7 @@ def _run_on_workers(pool, scenarios, mean_samples, size):
         lost = yield from _finished(map_tasks(pool, run_task, tasks))
         tasks = [part for task in lost for part in _parts(task)]
     deaths = collections.Counter()  # of workers that ran this key and nothing else
-    killed = store.failed_row("KilledWorker: every worker that ran it died")
+    killed = store.failed_row("BrokenProcessPool: every worker that ran it died")
     while tasks:
         lost = yield from _finished(_one_by_one(pool, run_task, tasks, check))
         deaths.update(key for task in lost if len(task) == 1 for key in task)
