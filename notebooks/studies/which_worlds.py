@@ -272,7 +272,7 @@ def measured(run):
     metrics = run.metrics
     settled_s = metrics["settling_time_s"]
     near = (run.columns["mu_hat"] >= 0.9) & (run.columns["kappa_hat"] >= 0.9)
-    excursions, row_m = on_rows(run, 0.0 if np.isnan(settled_s) else settled_s)
+    excursions, row_m = count_excursions(run, 0.0 if np.isnan(settled_s) else settled_s)
     return dict(
         error=metrics["mean_error_m"],
         violations=metrics["violations"],
@@ -285,7 +285,7 @@ def measured(run):
     )
 
 
-def on_rows(run, settled_s):
+def count_excursions(run, settled_s):
     """How often a robot that has arrived leaves the tolerance by raw GNSS, on how many metres."""
     c = run.columns
     counted = c["on_straight"] & (c["t_s"] >= settled_s + SETTLING_SAMPLES * paper.DT_S)

@@ -258,6 +258,7 @@ def _by_block(array, length):
 def _flat(value, size):
     """A setting as a vector, column by column; a number may stand for equal ones."""
     flat = np.ravel(value, order="F")
+    # Most settings have their size already, and `broadcast_to` takes ten times as long.
     return flat if len(flat) == size else np.broadcast_to(flat, (size,))
 
 

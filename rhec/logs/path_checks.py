@@ -244,7 +244,7 @@ def likeliest_delay(recording):
     return motion.delay_s if motion else 0.0
 
 
-def are_late(motion):
+def positions_are_late(motion):
     """Whether positions are clearly late: the delay explains more of distances and of turns."""
     gains = [late.share - each.share for late, each in zip(motion.late, motion.in_time)]
     is_clear = motion.late[0].share > _CLEAR_SHARE and min(gains) >= 0 and sum(gains) > _LEAST_GAIN
@@ -271,7 +271,7 @@ def check_path(recording):
     motion = _motion(recording.rows)
     if motion is None:
         return
-    is_late = are_late(motion)
+    is_late = positions_are_late(motion)
     slopes = motion.late if is_late else motion.in_time
     for slope, check in zip(slopes, _CHECKS):
         named = dict(times=slope.value, place=place, speed=speed, yaw_rate=yaw_rate)

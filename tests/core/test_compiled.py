@@ -42,9 +42,9 @@ needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no 
 def start(cache, dt=0.2, package=ROOT, within=(), **environment):
     """A process of its own that builds the EKF, as the last arguments of a command `within`.
 
-    It writes bytecode, which is no source.
+    It writes bytecode, which must not affect what is compiled.
     """
-    writes_bytecode = dict(PYTHONDONTWRITEBYTECODE="")
+    settings = dict(RHEC_CACHE=str(cache), PYTHONPATH=str(package), PYTHONDONTWRITEBYTECODE="")
     return subprocess.Popen(
         [*within, sys.executable, "-c", BUILD.format(dt=dt)],
         text=True,
@@ -52,10 +52,7 @@ def start(cache, dt=0.2, package=ROOT, within=(), **environment):
         stderr=subprocess.PIPE,
         start_new_session=True,
         cwd=package,
-        env=os.environ
-        | writes_bytecode
-        | dict(RHEC_CACHE=str(cache), PYTHONPATH=str(package))
-        | environment,
+        env=os.environ | settings | environment,
     )
 
 

@@ -323,7 +323,7 @@ def test_a_delay_explains_distances_and_turns(share_of_turns, is_late):
     in_time = path_checks._Slope(0.9, 0.01, 0.8), path_checks._Slope(0.8, 0.01, 0.8)
     late = in_time[0]._replace(share=0.9), in_time[1]._replace(share=share_of_turns)
     motion = path_checks._Motion(0.5, 0.01, in_time, late)
-    assert path_checks.are_late(motion) == is_late
+    assert path_checks.positions_are_late(motion) == is_late
 
 
 def test_how_many_positions_count_is_always_said():

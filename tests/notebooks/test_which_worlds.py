@@ -151,7 +151,7 @@ def test_excursions_are_counted_with_their_exposure():
     c["on_straight"][:] = True
     for sample in (60, 61, 62, 82):
         c["error_m"][sample] = 0.2
-    excursions, row_m = which_worlds.on_rows(run, 5.0)
+    excursions, row_m = which_worlds.count_excursions(run, 5.0)
     late = c["t_s"] >= 10.0
     steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
     assert excursions == 2 and row_m == pytest.approx(steps_m[late[1:]].sum())

@@ -203,7 +203,7 @@ def test_a_helper_on_one_line_takes_no_other_helper_with_it():
     memory, stream = ca.MX.sym("memory"), ca.MX.sym("stream", 3)
     function = ca.Function("found", [x], [found])
     step = ca.Function("step", [memory, stream], [memory, function(stream)])
-    text = lanes.text_of(step)
+    text = lanes.cpp_text(step)
     assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 

@@ -102,9 +102,9 @@ _ROOMS = (".", "core", "core/*", "tracked_robot", "simulation")
 @functools.cache
 def source_digest(*modules):
     """A digest of the sources that make Functions, and of these modules."""
-    files = [file for room in _ROOMS for file in _PACKAGE.glob(f"{room}/*")]
-    # Not Python's bytecode, of which `core/*` has a folder: it is written anew now and then.
-    sources = {file for file in files if file.suffix in (".py", ".h")}
+    # `core/*` also holds the folder of Python's bytecode, which is not source.
+    patterns = [f"{room}/*.{ending}" for room in _ROOMS for ending in ("py", "h")]
+    sources = {source for pattern in patterns for source in _PACKAGE.glob(pattern)}
     sources |= {Path(sys.modules[module].__file__) for module in modules}
     return hashlib.sha256(b"".join(source.read_bytes() for source in sorted(sources))).hexdigest()
 

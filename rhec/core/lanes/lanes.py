@@ -90,7 +90,7 @@ def cpp_compiler():
 
 
 def library_name(build, structure):
-    """As `compiled.library_name`; it differs by C++ compiler and processor, too."""
+    """The name of compiled lanes: `compiled.library_name`, C++ compiler and processor included."""
     return compiled.library_name(build, structure, "lanes", *cpp_compiler())
 
 
@@ -133,7 +133,7 @@ def programs(build, structures):
     return [OneByOne(compiled.load(build, *structure)["block"]) for structure in structures]
 
 
-def text_of(function, name=None):
+def cpp_text(function, name=None):
     """Return the C++ of a Function, for lanes."""
     generator = ca.CodeGenerator(f"{name or function.name()}.c")
     generator.add(function)
@@ -152,9 +152,9 @@ def compile_block(place, functions):
     command = [compiler, *flags, "-include", header, f"-I{compiled.HEADERS}"]
     key = cpp_compiler(), flags, compiled.source_digest()
     function = functions["block"]
-    text = text_of(function, "code")
+    text = cpp_text(function, "code")
     with contextlib.suppress(OSError, cache.UnusableError):
-        compile_by_parts(place, text, functions.get("step", function), text_of, key, command)
+        compile_by_parts(place, text, functions.get("step", function), cpp_text, key, command)
     sizes = {name: function.nnz_in(name) for name in function.name_in()}
     shapes = {name: function.size_out(name) for name in function.name_out()}
     (place / "block.json").write_text(json.dumps([sizes, shapes]))
