@@ -14,7 +14,6 @@ import shutil
 import subprocess
 import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import pytest
@@ -121,12 +120,8 @@ class Lab:
     def __init__(self, url, token, folder):
         self.url, self.token, self.folder = url, token, folder
 
-    def open(self, page, notebook, theme="JupyterLab Light"):
+    def open(self, page, notebook):
         """The notebook alone in the page, its kernel ready."""
-        self._put(
-            "api/settings/@jupyterlab/apputils-extension:themes",
-            {"raw": json.dumps({"theme": theme})},
-        )
         page.goto(f"{self.url}/lab/tree/{notebook}?reset&token={self.token}")
         page.wait_for_selector(".jp-Notebook .jp-Cell")
         page.evaluate("""async () => {
@@ -156,15 +151,6 @@ class Lab:
     def close(page):
         """Shut the page's kernel down, so that tests do not pile them up."""
         page.evaluate("jupyterapp.shell.currentWidget.context.sessionContext.shutdown()")
-
-    def _put(self, path, body):
-        request = urllib.request.Request(
-            f"{self.url}/lab/{path}",
-            json.dumps(body).encode(),
-            {"Authorization": f"token {self.token}"},
-            method="PUT",
-        )
-        urllib.request.urlopen(request).close()
 
 
 @pytest.fixture(scope="session")

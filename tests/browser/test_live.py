@@ -192,6 +192,7 @@ def test_a_slider_changes_the_run_and_the_page_says_what_came_of_it(live):
     assert all(now != then for now, then in zip(shown(), before))
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("scene", SCENES)
 def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
     live.open(f"#{scene}").change_at_random(random.Random(scene))
@@ -229,6 +230,7 @@ def test_an_address_names_a_scene_or_a_step(live):
 # The story
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("step", ANSWERS)
 def test_a_question_is_open_until_the_reader_answers_it(live, step):
     assert live.open().answer(step).startswith("Not yet")

@@ -18,7 +18,8 @@ PAGES = sorted(
     for file in REPORT.rglob("*.html")
     if file.name != "live.html" or file.parent != REPORT
 )
-SOME = ("index.html", "figures.html", "claims.html", "provenance.html", "docs/your_log.html")
+# One of each kind.
+SOME = ("index.html", "claims.html", "figures.html", "provenance.html", "docs/your_log.html")
 SOME += ("notebooks/03_scenario_a.html", "docs/reference/rhec.Scenario.html")
 SOME += ("live.html",) if (REPORT / "live.html").exists() else ()
 AXE = ROOT / "build/axe/node_modules/axe-core/axe.min.js"  # npm install --prefix build/axe axe-core
@@ -53,6 +54,7 @@ def soups():
 
 
 def test_every_link_anchor_and_picture_is_there(soups):
+    ids = {name: {tag["id"] for tag in soup.select("[id]")} for name, soup in soups.items()}
     for name, soup in soups.items():
         for tag in soup.select("[href], [src]"):
             target = unquote(tag.get("href") or tag.get("src"))
@@ -63,8 +65,8 @@ def test_every_link_anchor_and_picture_is_there(soups):
             place = (REPORT / name).parent / file.partition("?")[0] if file else REPORT / name
             assert place.is_file(), f"{name}: {target}"
             linked = place.resolve().relative_to(REPORT).as_posix()
-            if fragment and linked in soups:
-                assert soups[linked].find(id=fragment), f"{name}: {target}"
+            if fragment and linked in ids:
+                assert fragment in ids[linked], f"{name}: {target}"
 
 
 def test_nothing_is_loaded_from_a_network():
@@ -96,7 +98,10 @@ def test_the_pages_say_what_they_are_for(soups):
     assert "duration_s" in scenario and "Annotated" not in scenario
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in SOME else pytest.mark.nightly) for name in PAGES],
+)
 def test_a_page_shows_all_it_has(offline, name):
     page = offline
     page.goto((REPORT / name).as_uri())
@@ -217,6 +222,7 @@ def test_code_unfolds_and_the_dark_page_is_dark(offline):
 
 
 @pytest.mark.skipif(not AXE.exists(), reason="axe-core is not in build/axe")
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("name", SOME)
 def test_a_page_is_accessible(offline, name):
     """In the dark nothing but colours differ, so only contrasts are looked at again."""
