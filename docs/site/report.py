@@ -16,6 +16,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 from urllib.parse import quote
@@ -76,8 +77,8 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
         Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
         for file in site.rglob("*.map"):  # of the theme's sources, which are not there
             file.unlink()
-        for file in (site / "_images").glob("*.png"):
-            _shrink(file)
+        with ThreadPoolExecutor() as threads:  # Pillow lets other threads run meanwhile
+            list(threads.map(_shrink, (site / "_images").glob("*.png")))
         for file in site.rglob("*.html"):
             text = _SHOWN_PNG.sub(r"\1.webp", file.read_text(encoding="utf-8"))
             file.write_text(with_policy(text), encoding="utf-8")
@@ -95,7 +96,7 @@ def _shrink(png):
         paper.alpha_composite(picture.convert("RGBA"))
         # Median cut, the default, leaves steps in maps of the soil, and larger files.
         palette = paper.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE)
-        palette.convert("RGB").save(png.with_suffix(".webp"), lossless=True, quality=100)
+        palette.convert("RGB").save(png.with_suffix(".webp"), lossless=True)
     png.unlink()
 
 

@@ -17,11 +17,9 @@ from rhec.core._casadi.validation import Steps, Whole, checked, refuse, shown
 from rhec.core.batch import functions
 from rhec.core.batch.rows import evaluate_some, get_runs, set_runs, shared, to_lanes, zeros
 from rhec.core.controller import rhc
-from rhec.core.controller.rhc import RHC
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import variances_w
 from rhec.core.estimator.ekf import EKF
-from rhec.core.estimator.rhe import RHE
 from rhec.core.lanes import lanes
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.solver.rti import IMPROVE
@@ -240,7 +238,7 @@ class RHCBatch(_IteratedBatch):
     results = functions.CONTROLLER_RESULTS
     first_iterations = rhc.FIRST_ITERATIONS
 
-    def __init__(self, source: RHC, n: int):
+    def __init__(self, source: rhc.RHC, n: int):
         problem = self._problem = source.problem
         self._structure = source.structure
         inputs = dict(s_0=(problem.n_s,), x_ref=(problem.n_x, problem.N + 1))
@@ -383,7 +381,7 @@ class RHEBatch(_IteratedBatch, _EstimatorBatch):
 
     results = functions.ESTIMATOR_RESULTS
 
-    def __init__(self, source: RHE, n: int):
+    def __init__(self, source: rhe.RHE, n: int):
         self._model = source.model
         self._first = pack_array(rhe.init(source.window, *source._guess) | dict(age=0.0))
         inputs = dict(z_N=(len(source.model.outputs),))
@@ -473,15 +471,15 @@ class EKFBatch(_EstimatorBatch):
         return self._estimates()
 
 
-_BATCHES = {RHC: RHCBatch, RHE: RHEBatch, EKF: EKFBatch}
+_BATCHES = {rhc.RHC: RHCBatch, rhe.RHE: RHEBatch, EKF: EKFBatch}
 
 
 @overload
-def batch(source: RHC, n: int) -> RHCBatch: ...
+def batch(source: rhc.RHC, n: int) -> RHCBatch: ...
 
 
 @overload
-def batch(source: RHE, n: int) -> RHEBatch: ...
+def batch(source: rhe.RHE, n: int) -> RHEBatch: ...
 
 
 @overload
@@ -514,6 +512,6 @@ def batch(source: Any, n: Runs) -> Any:
     batch_class = _BATCHES.get(type(source))
     if batch_class is None:
         expected = "it should be a rhec.RHC, rhec.RHE or rhec.EKF with a model"
-        paper = isinstance(source, RHC | RHE)
+        paper = isinstance(source, rhc.RHC | rhe.RHE)
         refuse("source was", source, expected + ("; for the paper's, use rhec.campaign" * paper))
     return batch_class(source, n)
