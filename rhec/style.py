@@ -116,10 +116,12 @@ def styled(draw):
 def source(root=ROOT):
     """Digest of the sources of figures: modules, the standard fields and notebooks.
 
-    Unlike the name of a commit, it does not change when only figures are committed.
+    Unlike the name of a commit, it does not change when only figures are committed; nor when
+    JupyterLab keeps a copy of a notebook that it has saved.
     """
     patterns = ("rhec/**/*.py", "data/*.npz", "notebooks/**/*.py", "notebooks/**/*.ipynb")
-    files = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
+    found = sorted(file for pattern in patterns for file in root.glob(pattern) if file.is_file())
+    files = (file for file in found if ".ipynb_checkpoints" not in file.parts)
     pieces = (file.relative_to(root).as_posix().encode() + file.read_bytes() for file in files)
     return hashlib.sha256(b"".join(pieces)).hexdigest()[:12]
 

@@ -19,6 +19,12 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.tracked_robot.choice import Choice
 
+# Without the copies that JupyterLab keeps of those that were opened in it.
+NOTEBOOKS = sorted(
+    path
+    for path in (Path(__file__).parents[1] / "notebooks").rglob("*.ipynb")
+    if ".ipynb_checkpoints" not in path.parts
+)
 # What was built without a compiler is built once, too, and not again for each `no_compiler`.
 _load_without_compiler = functools.cache(compiled.load.__wrapped__)
 

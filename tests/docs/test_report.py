@@ -11,6 +11,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from bs4 import BeautifulSoup
+from helpers import NOTEBOOKS
 from latex2mathml.converter import convert
 from matplotlib.figure import Figure
 from nbformat import v4
@@ -22,7 +23,6 @@ from docs.site.content_policy import with_policy
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
-NOTEBOOKS = sorted((ROOT / "notebooks").rglob("*.ipynb"))
 
 
 @pytest.fixture

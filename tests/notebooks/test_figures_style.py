@@ -45,6 +45,8 @@ def test_a_figure_made_again_is_the_same_bytes_and_tells_its_source(tmp_path, mo
     """After an edit of the source, pictures kept in git stay as they are, and PDFs name it."""
     module = tmp_path / "rhec" / "unrelated.py"
     module.parent.mkdir()
+    kept_by_jupyterlab = tmp_path / "notebooks/.ipynb_checkpoints/03-checkpoint.ipynb"
+    kept_by_jupyterlab.parent.mkdir(parents=True)
     monkeypatch.setattr(style, "source", functools.partial(style.source, tmp_path))
     png = {}
     pdf = {}
@@ -55,6 +57,7 @@ def test_a_figure_made_again_is_the_same_bytes_and_tells_its_source(tmp_path, mo
         png[folder] = file.read_bytes()
         pdf[folder] = file.with_suffix(".pdf").read_bytes()
         sources.append(style.source_of(file))
+        kept_by_jupyterlab.touch()
     assert png["first"] == png["again"] == png["edited"] and pdf["first"] == pdf["again"]
     assert (
         sources[0]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from helpers import NOTEBOOKS
 from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
@@ -77,7 +78,7 @@ def test_the_cell_can_be_run_again():
     parameters(namespace)
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").rglob("*.ipynb")))
+@pytest.mark.parametrize("path", NOTEBOOKS)
 def test_every_notebook_checks_its_parameters_and_the_table_has_them(path):
     cells = nbformat.read(path, 4).cells
     (tagged,) = (cell for cell in cells if "parameters" in cell.metadata.get("tags", ()))
