@@ -2,15 +2,7 @@
 
 from functools import partial
 
-from rhec.simulation.campaigns.batch import (
-    compile_lanes,
-    count_samples,
-    mean_samples_per_structure,
-    one_per_structure,
-    samples_per_task,
-    simulate_batch,
-    split_into_tasks,
-)
+from rhec.simulation.campaigns.batch import Plan, compile_lanes, simulate_batch
 from rhec.simulation.campaigns.workers import get_workers, is_worth_spreading, map_tasks
 
 
@@ -22,12 +14,11 @@ def map_runs(function, scenarios):
     if not scenarios:
         return []
     # Scenarios of one structure run together, in lanes, where that pays for compiling them.
-    mean_samples = mean_samples_per_structure(scenarios)
-    large = is_worth_spreading(sum(map(count_samples, scenarios)))
-    parallel_map(compile_lanes, one_per_structure(scenarios, mean_samples), large)
-    parts = [*split_into_tasks(dict(enumerate(scenarios)), samples_per_task(mean_samples))]
-    task = partial(_of_part, mean_samples=mean_samples, function=function)
-    results = parallel_map(task, parts, large)
+    plan = Plan(dict(enumerate(scenarios)))
+    large = is_worth_spreading(plan.samples)
+    parallel_map(compile_lanes, plan.worth_lanes(), large)
+    task = partial(_of_part, mean_samples=plan.mean_samples, function=function)
+    results = parallel_map(task, plan.tasks(plan.samples_per_task), large)
     by_place = {place: result for part in results for place, result in part.items()}
     return [by_place[place] for place in range(len(scenarios))]
 

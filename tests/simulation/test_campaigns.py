@@ -261,7 +261,7 @@ def test_what_changes_bits_is_part_of_what_a_row_was_made_by(tmp_path, monkeypat
 
 def test_a_compiler_that_fails_on_the_way_mixes_no_rows(tmp_path, ran, monkeypatch):
     """What was compiled before and what runs on the virtual machine differ in their last bits."""
-    monkeypatch.setattr(campaigns, "samples_per_task", lambda mean_samples: 30)
+    monkeypatch.setattr(batch, "_TASK", 30)
     monkeypatch.setattr(campaigns, "run_in_lanes", lambda *given: {})
     real = compiled.compiler()
     monkeypatch.setattr(compiled, "compiler", lambda: None if len(ran) > 1 else real)
@@ -403,7 +403,7 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
         for estimator in ("rhe", "ekf")
         for seed in range(16)
     }
-    (task,) = batch.split_into_tasks(scenarios, samples=10**9)
+    (task,) = batch.Plan(scenarios).tasks(samples=10**9)
     assert [seed // 8 for _, seed in task] == [0] * 16 + [1] * 16
     assert [estimator for estimator, _ in task] == (["rhe"] * 8 + ["ekf"] * 8) * 2
 

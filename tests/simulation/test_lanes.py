@@ -144,11 +144,10 @@ def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
     """Few runs of other loops do not keep one loop from its lanes, nor does it give them theirs."""
     many = [dataclasses.replace(SMALL, seed=seed) for seed in range(30)]
     few = [dataclasses.replace(SMALL, estimator=name) for name in ("ekf", "oracle", "rhe_no_slip")]
-    scenarios = [*few, *many]
+    plan = batch.Plan(dict(enumerate([*few, *many])))
     monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
-    mean_samples = batch.mean_samples_per_structure(scenarios)
-    assert mean_samples < batch._WORTH_COMPILING
-    (chosen,) = batch.one_per_structure(scenarios, mean_samples)
+    assert plan.mean_samples < batch._WORTH_COMPILING
+    (chosen,) = plan.worth_lanes()
     assert chosen.estimator == SMALL.estimator
 
 
@@ -158,7 +157,7 @@ def test_lanes_are_compiled_for_fewer_runs_beside_those_of_another_loop(monkeypa
     more = [dataclasses.replace(SMALL, seed=seed) for seed in range(15)]
     monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
     chosen = [
-        [one.estimator for one in batch.one_per_structure(scenarios, batch.count_samples(SMALL))]
+        [one.estimator for one in batch.Plan(dict(enumerate(scenarios))).worth_lanes()]
         for scenarios in (fewer, more, [*fewer, *more])
     ]
     assert chosen == [[], [], ["ekf", SMALL.estimator]]

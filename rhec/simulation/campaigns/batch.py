@@ -1,6 +1,5 @@
 """Many runs in one process: several at a time, one per SIMD lane, if that is faster."""
 
-import collections
 import contextlib
 import functools
 import itertools
@@ -54,81 +53,76 @@ def count_samples(scenario):
     return round(scenario.duration_s / paper.DT_S)
 
 
-def _loops(scenarios):
-    """Yield the blocks of each scenario's loop, but for the sizes of its path and soil.
-
-    Those take time to find, and nearly all loops agree in them. Equal loops are one object.
-    """
-    families = {}
-    loops = {}
-    for scenario in scenarios:
-        family = _all_but_soil(scenario)
-        if family not in families:
-            loop = blocks_of(scenario)
-            families[family] = loops.setdefault(loop, loop)
-        yield families[family]
-
-
-def mean_samples_per_structure(scenarios):
-    """Return the mean number of samples of the scenarios per compiled loop."""
-    return sum(map(count_samples, scenarios)) / len({*_loops(scenarios)})
-
-
-def samples_per_task(mean_samples):
-    """Return the number of samples of a task, from `mean_samples_per_structure`."""
-    return _TASK_IN_LANES if mean_samples >= _WORTH_COMPILING else _TASK
-
-
-def split_into_tasks(scenarios, samples):
-    """Yield parts of {key: scenario} with about this number of samples.
-
-    Runs that share work become neighbours: they are sorted by groups of seeds, which share fields
-    and noise, then by loop, then by all parameters except seed and soil, and else keep their order.
-    """
-    ordered = _ordered(scenarios)
-    # Task number of a run = number of samples of all runs before it // size of a task.
-    lengths = (count_samples(scenarios[key]) for key in ordered)
-    n_before = itertools.accumulate(lengths, initial=0)
-    numbered = zip(n_before, ordered)
-    for _, task in itertools.groupby(numbered, lambda item: item[0] // samples):
-        yield {key: scenarios[key] for _, key in task}
-
-
-def _ordered(scenarios):
-    """Return the keys of {key: scenario} in the order of `split_into_tasks`."""
-    # Seeds, loops and families are numbered in the order of their first occurrence. Numbers in
-    # arrays take 32 bytes a run; a tuple for each would take 200.
-    numbers = [array("q") for _ in range(4)]
-    seeds = {}
-    loops = {}
-    families = {}
-    for scenario, blocks in zip(scenarios.values(), _loops(scenarios.values())):
-        seed = seeds.setdefault(scenario.seed, len(seeds))
-        loop = loops.setdefault(blocks, len(loops))
-        family = families.setdefault(_all_but_soil(scenario), len(families))
-        for column, number in zip(numbers, (seed // _SEEDS_TOGETHER, loop, family, seed)):
-            column.append(number)
-    keys = list(scenarios)
-    # `lexsort` takes the first criterion last.
-    return [keys[place] for place in np.lexsort(numbers[::-1])]
-
-
-def one_per_structure(scenarios, mean_samples):
-    """Return one scenario for each loop of which compiling the lanes pays.
+class Plan:
+    """What is decided for many runs together: their order, their tasks, and whose lanes to compile.
 
     Args:
-        scenarios: Those of the whole campaign.
-        mean_samples: Their `mean_samples_per_structure`; all loops get lanes if it is large.
+        scenarios: {key: scenario}, at least one.
     """
-    one = {}
-    samples = collections.Counter()
-    for scenario, loop in zip(scenarios, _loops(scenarios)):
-        one[loop] = scenario
-        samples[loop] += count_samples(scenario)
-    if sum(samples.values()) < _WORTH_COMPILING:
-        return []
-    least = 0 if mean_samples >= _WORTH_COMPILING else _PART_OF_A_LOOP * _WORTH_COMPILING
-    return [one[key] for key in one if samples[key] >= least]
+
+    def __init__(self, scenarios):
+        self.scenarios = scenarios
+        # Of each run: the number of its loop, family and seed, and how many samples it has. Numbers
+        # in arrays take 32 bytes a run; a tuple for each would take 200.
+        columns = [array("q") for _ in range(4)]
+        loops = {}
+        families = {}  # of scenarios that differ only in seed and soil
+        seeds = {}
+        loop_of = []  # each family
+        for scenario in scenarios.values():
+            family = families.setdefault(_all_but_soil(scenario), len(families))
+            if family == len(loop_of):
+                # The sizes of path and soil are left out: they take time to find, and nearly all
+                # loops agree in them.
+                loop_of.append(loops.setdefault(blocks_of(scenario), len(loops)))
+            seed = seeds.setdefault(scenario.seed, len(seeds))
+            numbers = loop_of[family], family, seed, count_samples(scenario)
+            for column, number in zip(columns, numbers):
+                column.append(number)
+        self._loops, self._families, self._seeds, self._lengths = map(np.asarray, columns)
+
+    @property
+    def samples(self):
+        """The number of samples of all runs."""
+        return int(self._lengths.sum())
+
+    @property
+    def mean_samples(self):
+        """The mean number of samples of the runs per compiled loop."""
+        return self.samples / (1 + int(self._loops.max()))
+
+    @property
+    def samples_per_task(self):
+        """The number of samples of a task that takes about a second."""
+        return _TASK_IN_LANES if self.mean_samples >= _WORTH_COMPILING else _TASK
+
+    def tasks(self, samples):
+        """Yield parts of {key: scenario} with about this number of samples.
+
+        Runs that share work become neighbours: they are sorted by groups of seeds, which share
+        fields and noise, then by loop, then by all parameters except seed and soil, and else keep
+        their order.
+        """
+        groups = self._seeds // _SEEDS_TOGETHER
+        # `lexsort` takes the first criterion last.
+        order = np.lexsort((self._seeds, self._families, self._loops, groups))
+        # Task number of a run = number of samples of all runs before it // size of a task.
+        lengths = self._lengths[order]
+        numbers = (np.cumsum(lengths) - lengths) // samples
+        items = list(self.scenarios.items())
+        for _, task in itertools.groupby(zip(numbers, order), operator.itemgetter(0)):
+            yield dict(items[place] for _, place in task)
+
+    def worth_lanes(self):
+        """Return one scenario for each loop of which compiling the lanes pays."""
+        if self.samples < _WORTH_COMPILING:
+            return []
+        enough = self.mean_samples >= _WORTH_COMPILING  # for all loops
+        least = 0 if enough else _PART_OF_A_LOOP * _WORTH_COMPILING
+        _, first = np.unique(self._loops, return_index=True)
+        samples = np.bincount(self._loops, self._lengths)
+        scenarios = list(self.scenarios.values())
+        return [scenarios[place] for place in first[samples >= least]]
 
 
 def compile_lanes(scenario):
@@ -142,7 +136,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
 
     Args:
         scenarios: {key: scenario}.
-        mean_samples: `mean_samples_per_structure` of the whole campaign.
+        mean_samples: That of the Plan of the whole campaign.
         result_of: Function of a Run that returns the result.
 
     Returns:
@@ -198,21 +192,21 @@ def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
     Args:
         scenarios: Scenarios, in any order.
         result_of: Function of a Run; its result must not be empty or 0.
-        mean_samples: `mean_samples_per_structure` of the batch of which these are a part.
+        mean_samples: That of the Plan of the batch of which these are a part.
 
     Returns:
         A list of result_of(run), in the order of the scenarios.
     """
-    scenarios = list(scenarios)
-    if not scenarios:
+    numbered = dict(enumerate(scenarios))
+    if not numbered:
         return []
     if mean_samples is None:
-        mean_samples = mean_samples_per_structure(scenarios)
-    in_lanes = run_in_lanes(dict(enumerate(scenarios)), mean_samples, result_of)
+        mean_samples = Plan(numbered).mean_samples
+    in_lanes = run_in_lanes(numbered, mean_samples, result_of)
     return [
         in_lanes.get(k)
         or result_of(closed_loop.simulate_setup(scenario, closed_loop.set_up(scenario)))
-        for k, scenario in enumerate(scenarios)
+        for k, scenario in numbered.items()
     ]
 
 

@@ -15,15 +15,7 @@ from pydantic import Field
 from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import Whole, checked
 from rhec.simulation.campaigns import store
-from rhec.simulation.campaigns.batch import (
-    compile_lanes,
-    count_samples,
-    mean_samples_per_structure,
-    one_per_structure,
-    run_in_lanes,
-    samples_per_task,
-    split_into_tasks,
-)
+from rhec.simulation.campaigns.batch import Plan, compile_lanes, run_in_lanes
 from rhec.simulation.campaigns.workers import get_workers, is_worth_spreading, map_tasks
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import as_list, simulate
@@ -174,33 +166,32 @@ def _run_all(scenarios, workers):
     """Yield {key: row} for parts of {key: scenario} as they finish."""
     if not scenarios:
         return
-    samples = sum(map(count_samples, scenarios.values()))
-    mean_samples = mean_samples_per_structure(scenarios.values())
-    size = samples_per_task(mean_samples)
-    pool = get_workers(workers, is_worth_spreading(samples))
+    plan = Plan(scenarios)
+    pool = get_workers(workers, is_worth_spreading(plan.samples))
     if pool is None:
-        for scenario in one_per_structure(scenarios.values(), mean_samples):
+        for scenario in plan.worth_lanes():
             compile_lanes(scenario)
-        run_here = functools.partial(_run_task, mean_samples=mean_samples)
-        yield from map(run_here, split_into_tasks(scenarios, size))
+        run_here = functools.partial(_run_task, mean_samples=plan.mean_samples)
+        yield from map(run_here, plan.tasks(plan.samples_per_task))
     else:
-        size = min(size, samples / (_TASKS_PER_WORKER * pool.count))
-        yield from _run_on_workers(pool, scenarios, mean_samples, size)
+        yield from _run_on_workers(pool, plan)
 
 
-def _run_on_workers(pool, scenarios, mean_samples, size):
+def _run_on_workers(pool, plan):
     """Yield {key: row} from workers, which may die.
 
     Tasks that were pending when a worker died run again in smaller parts, at first as many at a
     time as before, then alone, until the parts are single runs. Thus a run that kills its worker
     is found, and work that others kill again and again is done in the end.
     """
-    check = functools.partial(_check_provenance, store.provenance())
-    run_task = functools.partial(_run_task, mean_samples=mean_samples, expected=store.provenance())
+    here = store.provenance()
+    check = functools.partial(_check_provenance, here)
+    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples, expected=here)
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
-    for _ in map_tasks(pool, compile_lanes, one_per_structure(scenarios.values(), mean_samples)):
+    for _ in map_tasks(pool, compile_lanes, plan.worth_lanes()):
         yield {}  # lets the caller check the compiler
-    tasks = split_into_tasks(scenarios, size)
+    share = plan.samples / (_TASKS_PER_WORKER * pool.count)
+    tasks = plan.tasks(min(plan.samples_per_task, share))
     for _ in range(2):
         lost = yield from _finished(map_tasks(pool, run_task, tasks))
         tasks = [part for task in lost for part in _parts(task)]
@@ -256,7 +247,7 @@ def _run_task(scenarios, mean_samples, expected=None):
 
     Args:
         scenarios: {key: scenario} of one task.
-        mean_samples: `mean_samples_per_structure` of the campaign.
+        mean_samples: That of the campaign's Plan.
         expected: `store.provenance` of the caller, if that is another process.
 
     Raises:
