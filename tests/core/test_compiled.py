@@ -118,8 +118,12 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
         Path(rhec.__file__).parent, tmp_path / "rhec", ignore=shutil.ignore_patterns("__pycache__")
     )
     shutil.copytree(Path(rhec.__file__).parents[1] / "data", tmp_path / "data")
+    kept_by_jupyterlab = tmp_path / "rhec/core/.ipynb_checkpoints/runner-checkpoint.py"
+    kept_by_jupyterlab.parent.mkdir()
+    kept_by_jupyterlab.write_text("# an old idea\n")
     answer(start(tmp_path / "cache", package=tmp_path))
-    assert len(libraries(tmp_path / "cache")) == 2  # where it lies does not matter
+    # Where it lies does not matter, nor what editors and Python leave there.
+    assert len(libraries(tmp_path / "cache")) == 2
     with open(tmp_path / "rhec" / "core" / "estimator" / "ekf.py", "a") as source:
         source.write("# a new idea\n")
     answer(start(tmp_path / "cache", package=tmp_path))

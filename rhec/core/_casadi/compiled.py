@@ -96,13 +96,14 @@ def loop_symbols():
 
 _PACKAGE = Path(__file__).parents[2]
 # Folders whose sources make Functions. An edit of figures, studies or logs compiles nothing anew.
-_ROOMS = (".", "core", "core/*", "tracked_robot", "simulation")
+# In a hidden one JupyterLab keeps copies of what was edited in it.
+_ROOMS = (".", "core", "core/[!.]*", "tracked_robot", "simulation")
 
 
 @functools.cache
 def source_digest(*modules):
     """A digest of the sources that make Functions, and of these modules."""
-    # `core/*` also holds the folder of Python's bytecode, which is not source.
+    # The folder of Python's bytecode is in `core`, too, but has no sources.
     patterns = [f"{room}/*.{ending}" for room in _ROOMS for ending in ("py", "h")]
     sources = {source for pattern in patterns for source in _PACKAGE.glob(pattern)}
     sources |= {Path(sys.modules[module].__file__) for module in modules}
