@@ -29,6 +29,7 @@ _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameter
 # Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
 _DPI = 265
 _TELL_S = 30  # a notebook that runs says so often where it is
+_STARTS = 3  # of a kernel, before it is given up
 
 
 class ParameterError(ValueError):
@@ -145,9 +146,7 @@ def run(notebook, values, output):
         ParameterError: If it has no such parameter.
         PapermillExecutionError: If a cell fails.
     """
-    # Not imported above: every notebook imports this module, and none needs them.
-    import nbformat
-    import papermill
+    import nbformat  # not imported above: every notebook imports this module, and none needs it
 
     from notebooks.parameter_table import parameters_of
 
@@ -160,26 +159,50 @@ def run(notebook, values, output):
     output.parent.mkdir(parents=True, exist_ok=True)
     started_ns = time.time_ns()
     with _environment(notebook, values, output), _telling(notebook.stem) as on_cell_start:
-        executed = papermill.execute_notebook(
-            str(notebook),
-            None,
-            values,
-            kernel_name="python3",
-            language="python",
-            cwd=notebook.parent,
-            progress_bar=False,
-            on_cell_start=on_cell_start,
-            extra_arguments=[
-                "--IPKernelApp.log_level=CRITICAL",
-                # Without it, a tenth of the time to draw goes into looking for garbage.
-                "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
-            ],
-        )
+        executed = _executed(notebook, values, on_cell_start)
     _describe_pictures(executed)
     with replacing(output) as unfinished:
         nbformat.write(executed, unfinished)
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
+
+
+def _executed(notebook, values, on_cell_start):
+    """The executed notebook; `on_cell_start` is called with each cell and its place before it runs.
+
+    A kernel is told its ports before it takes them. Where another program was faster, it dies
+    before the first cell, and another one starts.
+    """
+    import papermill
+
+    begun = False
+
+    def on_start(cell, cell_index):
+        nonlocal begun
+        begun = True
+        on_cell_start(cell, cell_index)
+
+    for starts_left in reversed(range(_STARTS)):
+        try:
+            return papermill.execute_notebook(
+                str(notebook),
+                None,
+                values,
+                kernel_name="python3",
+                language="python",
+                cwd=notebook.parent,
+                progress_bar=False,
+                on_cell_start=on_start,
+                extra_arguments=[
+                    "--IPKernelApp.log_level=CRITICAL",
+                    # Without it, a tenth of the time to draw goes into looking for garbage.
+                    "--IPKernelApp.exec_lines=__import__('gc').set_threshold(50_000)",
+                ],
+            )
+        except RuntimeError:
+            if begun or not starts_left:
+                raise
+            print(f"{notebook.stem}: its kernel did not start, so another one does", flush=True)
 
 
 def _describe_pictures(notebook):

@@ -1,6 +1,7 @@
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from helpers import NOTEBOOKS
+from jupyter_client.connect import LocalPortCache
 from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
@@ -203,6 +205,28 @@ def test_a_notebook_that_takes_long_says_below_which_heading_it_is(tmp_path, mon
     monkeypatch.setattr(notebook, "_TELL_S", 0.2)
     run_toy(monkeypatch, toy(tmp_path, "import time; time.sleep(1)"))
     assert re.search(r"^toy: \d+ s, at “A heading”$", capfd.readouterr().out, re.M)
+
+
+def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd):
+    free, asked = LocalPortCache.find_available_port, []
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def find_available_port(self, ip):
+            asked.append(ip)
+            return free(self, ip) if len(asked) > 1 else other.getsockname()[1]
+
+        monkeypatch.setattr(LocalPortCache, "find_available_port", find_available_port)
+        output = run_toy(monkeypatch, toy(tmp_path, "1 + 1"))
+    assert len(asked) == 10  # of two kernels
+    assert "toy: its kernel did not start, so another one does\n" in capfd.readouterr().out
+    assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "2"
+
+
+def test_a_kernel_that_dies_in_a_cell_does_not_start_again(tmp_path, monkeypatch):
+    cell = "import os; open('begun', 'a').write('.'); os._exit(1)"
+    with pytest.raises(RuntimeError, match="died"):
+        run_toy(monkeypatch, toy(tmp_path, cell))
+    assert (tmp_path / "begun").read_text() == "."
 
 
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
