@@ -145,6 +145,7 @@ def run(notebook, values, output):
     Raises:
         ParameterError: If it has no such parameter.
         PapermillExecutionError: If a cell fails.
+        RuntimeError: If its kernel dies.
     """
     import nbformat  # not imported above: every notebook imports this module, and none needs it
 
@@ -306,7 +307,8 @@ def main():
         parser.exit(130, interrupted)
     except ParameterError as error:
         parser.exit(2, f"{error}\n")
-    except OSError as error:  # a folder that cannot be written to, a full disk
+    # A folder that cannot be written to, a full disk; a kernel that was killed.
+    except (OSError, RuntimeError) as error:
         parser.exit(1, f"{notebook.stem}: {error}\n")
     except PapermillExecutionError as error:
         # Ctrl-C reaches the kernel, too, and its cell may fail first.
