@@ -402,9 +402,11 @@ def refusals():
         yield r"^runs was .* from 0 to 10, or a mask \(11,\)", lambda: of_ekf.restart(runs)
     for n in (0, -1, 2.5, "3", None):
         yield "^n was ", lambda: rhec.batch(given.make_rhc(), n)
-    for source in (rhec.RHC(), rhec.RHE(), None, "rhc", given):
-        sentence = r"^source was .*; it should be a rhec\.RHC, rhec\.RHE or"
-        yield sentence, lambda: rhec.batch(source, 2)
+    sentence = r"^source was .*; it should be a rhec\.RHC, rhec\.RHE or rhec\.EKF with a model"
+    for source in (None, "rhc", given):
+        yield f"{sentence}$", lambda: rhec.batch(source, 2)
+    for source in (rhec.RHC(), rhec.RHE()):
+        yield f"{sentence}; for the paper's, use rhec.campaign$", lambda: rhec.batch(source, 2)
 
 
 def test_what_does_not_fit_is_refused_in_one_sentence():
