@@ -171,8 +171,8 @@ def run(notebook, values, output):
 def _executed(notebook, values, on_cell_start):
     """The executed notebook; `on_cell_start` is called with each cell and its place before it runs.
 
-    A kernel is told its ports before it takes them. Where another program was faster, it dies
-    before the first cell, and another one starts.
+    A kernel is told its ports before it takes them. If another program takes one of them first, the
+    kernel dies before the first cell, and another kernel is started.
     """
     import papermill
 

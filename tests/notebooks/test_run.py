@@ -208,12 +208,13 @@ def test_a_notebook_that_takes_long_says_below_which_heading_it_is(tmp_path, mon
 
 
 def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd):
-    free, asked = LocalPortCache.find_available_port, []
+    find_free_port = LocalPortCache.find_available_port
+    asked = []
     with socket.create_server(("127.0.0.1", 0)) as other:
 
         def find_available_port(self, ip):
             asked.append(ip)
-            return free(self, ip) if len(asked) > 1 else other.getsockname()[1]
+            return find_free_port(self, ip) if len(asked) > 1 else other.getsockname()[1]
 
         monkeypatch.setattr(LocalPortCache, "find_available_port", find_available_port)
         output = run_toy(monkeypatch, toy(tmp_path, "1 + 1"))

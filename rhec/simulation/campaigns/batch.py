@@ -64,22 +64,28 @@ class Plan:
         self.scenarios = scenarios
         # Of each run: the number of its loop, family and seed, and how many samples it has. Numbers
         # in arrays take 32 bytes a run; a tuple for each would take 200.
-        columns = [array("q") for _ in range(4)]
+        loop_numbers = array("q")
+        family_numbers = array("q")
+        seed_numbers = array("q")
+        lengths = array("q")
         loops = {}
         families = {}  # of scenarios that differ only in seed and soil
         seeds = {}
-        loop_of = []  # each family
+        loop_of = []  # the number of each family's loop
         for scenario in scenarios.values():
             family = families.setdefault(_all_but_soil(scenario), len(families))
             if family == len(loop_of):
                 # The sizes of path and soil are left out: they take time to find, and nearly all
                 # loops agree in them.
                 loop_of.append(loops.setdefault(blocks_of(scenario), len(loops)))
-            seed = seeds.setdefault(scenario.seed, len(seeds))
-            numbers = loop_of[family], family, seed, count_samples(scenario)
-            for column, number in zip(columns, numbers):
-                column.append(number)
-        self._loops, self._families, self._seeds, self._lengths = map(np.asarray, columns)
+            loop_numbers.append(loop_of[family])
+            family_numbers.append(family)
+            seed_numbers.append(seeds.setdefault(scenario.seed, len(seeds)))
+            lengths.append(count_samples(scenario))
+        self._loops = np.asarray(loop_numbers)
+        self._families = np.asarray(family_numbers)
+        self._seeds = np.asarray(seed_numbers)
+        self._lengths = np.asarray(lengths)
 
     @property
     def samples(self):
