@@ -87,6 +87,7 @@ _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
 _SPEEDS = ("constant in a window", "measured", "slipping tracks")
+_TURNS = ("to alternate sides", "left", "right", "figure of eight")
 _SOIL_UNDER = ("the middle", "each track")
 _FAULTS = (
     ("none", ()),
@@ -125,6 +126,7 @@ _CONTROLS = (
     _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
     _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
     _selection("backwards", "backwards", _NO_YES),
+    _selection("turns", "turns", _TURNS),
     _slider("row_length_m", "row length", 10, 100, 1),
     _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
     _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
@@ -160,7 +162,7 @@ for _control in _CONTROLS:
 # Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
 PATCH = (
     Slider(0, "along x [m]", -10, 45, 0.5, "The first row runs along x from 0."),
-    Slider(1, "across y [m]", -8, 24, 0.5, "The first row is at y = 0."),
+    Slider(1, "across y [m]", -24, 40, 0.5, "The first row is at y = 0."),
     Slider(2, "radius [m]", 0.5, 8, 0.25, "Radius of the patch."),
     Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
     Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),

@@ -19,7 +19,7 @@ from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
-from rhec.tracked_robot.path import Path, path_of
+from rhec.tracked_robot.path import Path, Turns, path_of
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 if TYPE_CHECKING:
@@ -113,11 +113,15 @@ class Scenario:
     backwards: valid.Flag = False
     """Whether the robot drives in reverse, λ = 1 in eq. (18) (G9)."""
     path: Annotated[Path | None, SkipValidation] = None
-    """Path to follow. None: two rows that half circles join on the headlands."""
+    """Path to follow. None: rows that are joined by turns, as the next three parameters say."""
+    turns: Turns = "alternate"
+    """Which way the path turns at the ends of its rows (G18). "alternate": to alternate sides, as a
+    field is worked, over three rows and back; "left" and "right": always to that side, between two
+    rows; "figure_of_eight": to alternate sides, between two rows that cross."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
-    """Length of each of these two rows [m]."""
+    """Length of each of these rows [m]."""
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
-    """Radius of these half circles [m]."""
+    """Radius of these turns [m]."""
     start_offset_m: valid.Real = paper.START_OFFSET_M
     """Where the robot starts, to the left of the path's beginning (G3) [m]."""
     start_yaw_rad: valid.Real = 0.0
