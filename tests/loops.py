@@ -46,7 +46,7 @@ PATH = rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1
 EVERYTHING_ELSE = dict(
     speed_model="input", arrival_mean="filtered", input_reference="curvature", command_delay=1,
     prediction_horizon=4, estimation_horizon=2, q=(1, 1, 10), backwards=True, look_ahead_m=0.3,
-    guess_yaw_rad=0.2, process_noise="likelihood", path=PATH,
+    guess_yaw_rad=0.2, process_noise="prediction", path=PATH,
 )  # fmt: skip
 
 LOOPS = {name: Loop(dict(estimator=name), ("live",) + ("in_c",) * (name in NO_C)) for name in NAMES}
@@ -55,7 +55,7 @@ LOOPS |= {
     "delayed": Loop(dict(process_noise="printed", q=paper.Q1, command_delay=1, look_ahead_m=0.3)),
     "weights": Loop(dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2, guess_yaw_rad=0.3)),
     "unlike tracks": Loop(UNLIKE_TRACKS),
-    "input": Loop(dict(speed_model="input", process_noise="likelihood")),
+    "input": Loop(dict(speed_model="input", process_noise="prediction")),
     "slipping": Loop(dict(speed_model="slipping", faults=(GAP, OFF))),
     "sensors and faults": Loop(
         dict(speed_model="input", process_noise="consistent", sensors=BOTH, faults=(NO_GYRO, OFF))
@@ -77,7 +77,7 @@ def unlike(scenario):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            scenario, seed=i, process_noise=scenario.process_noise or (None, "likelihood")[i % 2],
+            scenario, seed=i, process_noise=scenario.process_noise or (None, "prediction")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],

@@ -1,7 +1,7 @@
-"""Effects of the interpretations: the printed and the likelihood W, and changes of the results.
+"""Effects of the interpretations: the printed and the prediction W, and changes of the results.
 
 `sweep` and `runs` are the results of `notebooks.studies.interpretations.swept`; `printed` and
-`likelihood` are two values of the swept standard deviation.
+`prediction` are two values of the swept standard deviation.
 """
 
 import matplotlib.pyplot as plt
@@ -20,13 +20,13 @@ _SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8,
 
 
 def _mark(axes, **values):
-    """Draw vertical lines at the printed and the likelihood value."""
+    """Draw vertical lines at the printed and the prediction value."""
     for (name, value), style in zip(values.items(), ((0, (1, 1)), (0, (4, 2)))):
         axes.axvline(value, color=GREY, linewidth=0.8, linestyle=style, label=name, zorder=1)
 
 
 def _swept(axes, label, **values):
-    """Label the axis of the swept standard deviation, with printed and likelihood value."""
+    """Label the axis of the swept standard deviation, with printed and prediction value."""
     _mark(axes, **values)
     axes.set_xlabel(label)
     axes.minorticks_off()
@@ -140,7 +140,7 @@ def forest(table, baseline):
 
     Args:
         table: Table of `notebooks.studies.interpretations.one_at_a_time`.
-        baseline: Process noise of the baseline, "printed" or "likelihood".
+        baseline: Process noise of the baseline, "printed" or "prediction".
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names = others["interpretation"]

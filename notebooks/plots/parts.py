@@ -34,7 +34,7 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
 
 def noise_text(process_noise):
     """The process noise W of a drive, for a title."""
-    return {"likelihood": "W by likelihood"}.get(process_noise, f"W {process_noise}")
+    return {"prediction": "W by prediction"}.get(process_noise, f"W {process_noise}")
 
 
 def in_words(name):

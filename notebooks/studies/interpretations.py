@@ -39,10 +39,10 @@ class _Entry(NamedTuple):
 
     @property
     def values(self):
-        """{"printed": σ, "likelihood": σ}."""
+        """{"printed": σ, "prediction": σ}."""
         place = _PLACES[self.state][0]
-        noises = ("printed", "likelihood")
-        return {name: tuning.SIGMA_W[self.estimator][name][place] for name in noises}
+        noises = ("printed", "prediction")
+        return {name: tuning.NOISES[self.estimator][name].sigma_w[place] for name in noises}
 
 
 ENTRIES = {
@@ -114,7 +114,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     guess = (0.0, 0.0, 0.0, paper.SPEED_MPS, _MU, _KAPPA)
     deviations = []
     for sigma in sigma_kappa:
-        sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
+        sigma_w = (*tuning.NOISES["rhe"][process_noise].sigma_w[:5], float(sigma))
         estimator = rhec.RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
@@ -154,7 +154,7 @@ def swept(estimator, process_noise, state, values, seeds):
     cases = [*itertools.product(values, range(seeds))]
     scenarios = []
     for value, seed in cases:
-        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
+        sigma_w = _with_entry(tuning.NOISES[estimator][process_noise].sigma_w, state, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
         scenarios.append(Scenario(seed=seed, **choice))
     runs = {}
@@ -178,7 +178,7 @@ def sweep_of(name, seeds):
     The first result has the runs for pictures alone.
     """
     entry = ENTRIES[name]
-    values = (entry.values["printed"], *_BETWEEN[name], entry.values["likelihood"])
+    values = (entry.values["printed"], *_BETWEEN[name], entry.values["prediction"])
     runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
     return {value: runs[value] for value in values[_SHOWN[name]]}, table
 
@@ -191,7 +191,7 @@ def likelihood_profile(estimator, state, factors, seeds=3):
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
-    likeliest = tuning.SIGMA_W[estimator]["likelihood"]
+    likeliest = tuning.NOISES[estimator]["prediction"].sigma_w
     sigmas = [factor * likeliest[_PLACES[state][0]] for factor in factors]
     sigma_w = [_with_entry(likeliest, state, sigma) for sigma in sigmas]
     deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
@@ -252,7 +252,7 @@ def one_at_a_time(baseline, seeds, folder=None):
     G1 and G2 are the other W, for one estimator at a time.
 
     Args:
-        baseline: Its process noise, "printed" or "likelihood".
+        baseline: Its process noise, "printed" or "prediction".
         seeds: How many fields, from seed 0 on.
         folder: Where the campaign keeps its rows.
 
@@ -260,7 +260,7 @@ def one_at_a_time(baseline, seeds, folder=None):
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
         with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
     """
-    other = "likelihood" if baseline == "printed" else "printed"
+    other = "prediction" if baseline == "printed" else "printed"
     interpretations = {
         "baseline": ("baseline", dict()),
         "G1": (f"EKF: W {other}", dict(), dict(process_noise=other)),

@@ -23,7 +23,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 
 # W by each rule, the same for RHE and EKF; whole runs are kept of the first two.
-PROCESS_NOISES = ("printed", "likelihood", "consistent", "tracking")
+PROCESS_NOISES = ("printed", "prediction", "consistent", "tracking")
 _PICTURED = PROCESS_NOISES[:2]
 REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,
@@ -100,7 +100,7 @@ def scenario_b(seeds, drives, folder=None, **fields):
 
     Returns:
         sweep: DataFrame, one row a drive (`rhec.campaign`).
-        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}} of "printed" and "likelihood".
+        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}} of "printed" and "prediction".
     """
 
     def scenarios(process_noise, estimator, n):

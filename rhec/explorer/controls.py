@@ -78,11 +78,8 @@ ESTIMATORS = {
     "oracle": "oracle",
     "traction_oracle": "traction oracle",
 }
-PROCESS_NOISES = (
-    ("usual", None),
-    *((name, name) for name in ("printed", "likelihood", "consistent")),
-    ("custom", "custom"),
-)
+RULES = ("printed", "consistent", "prediction", "tracking")
+PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
@@ -179,11 +176,11 @@ def values_of(scenario):
     Returns:
         {key of a control: value}, with "process_noise", "seed" and "patches".
     """
-    noise = scenario.process_noise
+    noise = tuning.process_noise_of(scenario)
     values = vars(scenario) | dict(
         sigma_w=sigma_w_shown(scenario), sigma_v=tuning.sigma_v_of(scenario)
     )
-    is_offered = scenario.sigma_w is None and noise in dict(PROCESS_NOISES).values()
+    is_offered = scenario.sigma_w is None and noise in RULES
     keys = [*CONTROLS, "seed", "patches"]
     entries = {
         key: values[key[0]][key[1]] if isinstance(key, tuple) else values[key] for key in keys
@@ -195,7 +192,7 @@ def sigma_w_shown(scenario):
     """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
     if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
         return scenario.sigma_w
-    return tuning.SIGMA_W["rhe"][scenario.process_noise or "printed"]
+    return tuning.noise_of("rhe", scenario).sigma_w
 
 
 def scenario_of(values, estimator, start):
@@ -224,13 +221,15 @@ def scenario_of(values, estimator, start):
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     if settings["process_noise"] == "custom":
-        is_listed = start.process_noise in dict(PROCESS_NOISES).values()
-        settings["process_noise"] = start.process_noise if is_listed else None
+        settings["process_noise"] = start.process_noise if start.process_noise in RULES else None
         settings["sigma_w"] = _sigma_w_for_estimator(settings)
     else:
         settings["sigma_w"] = None
-    # None means the default for the process noise, which keeps the printed scenario short.
-    if settings["sigma_v"] == tuning.SIGMA_V[settings["process_noise"] or "printed"]:
+    rule = settings["process_noise"] or tuning.DEFAULT_RULE
+    # None means the default, which keeps the printed scenario short.
+    if rule == tuning.DEFAULT_RULE:
+        settings["process_noise"] = None
+    if settings["sigma_v"] == tuning.NOISES["rhe"][rule].sigma_v:
         settings["sigma_v"] = None
     return Scenario(**settings)
 
@@ -243,7 +242,7 @@ def _sigma_w_for_estimator(settings):
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
     # The yaw drift has no slider.
-    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["likelihood"]
+    tuned = tuning.NOISES["yaw_drift_ekf"]["prediction"].sigma_w
     six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 

@@ -41,12 +41,12 @@ class Scenario:
     with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
     (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
-    """W by name (G1, G2). "printed": the paper's; "likelihood": the likeliest on training seeds;
-    "consistent": makes the covariance match the errors there; "tracking": has the least true error
-    there with the paper's controller. These two also set sigma_v where that is None. "soft_soil":
-    the likeliest on soil that slips more, as under recorded robots. None: "printed" for an RHE,
-    "likelihood" for a filter, which with W as printed loses its heading. Likelihood is the one rule
-    that needs no truth, so that it could have been followed in the field."""
+    """The rule that picked W, and sigma_v where that is None (G1, G2). "printed": the paper's;
+    "consistent": the covariance is as large as the errors on training seeds; "prediction": predicts
+    their next measurements best; "tracking": has the least true error there with the paper's
+    controller; "soft_soil": as "prediction" on soil that slips more, as under recorded robots.
+    None: "prediction" for every estimator, the one rule that needs no truth, so that it could have
+    been followed in the field."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
     """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model

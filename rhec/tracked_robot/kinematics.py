@@ -10,6 +10,7 @@ import casadi as ca
 
 from rhec.core.model.base import Model
 from rhec.core.model.base import rk4 as rk4  # eq. (3)
+from rhec.tracked_robot.tuning import Noise
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
@@ -61,15 +62,15 @@ def _f_with_measured_speed(xi, u, p):
 
 
 class SpeedModel(NamedTuple):
-    """How a robot's speed enters its model, and the process noise that goes with it."""
+    """How a robot's speed enters its model, and the noise that goes with it."""
 
     model: Model
-    sigma_w: tuple | None = None  # its default, where `tuning.SIGMA_W` has none
+    noise: Noise | None = None  # its default, where `tuning.NOISES` has none
 
     @property
     def n_sigma_w(self):
         """Number of entries at the joint state's end that have process noise."""
-        return len(self.sigma_w or self.model.joint_names)
+        return len(self.noise.sigma_w if self.noise else self.model.joint_names)
 
 
 _PARAMETER = Model(

@@ -120,9 +120,7 @@ class Path:
 
     @classmethod
     @checked
-    def rows(
-        cls, row_length_m: Positive, radius_m: Positive, turns: Turns = "alternate"
-    ) -> "Path":
+    def rows(cls, row_length_m: Positive, radius_m: Positive, turns: Turns = "alternate") -> "Path":
         """Rows that are joined by turns; the first row runs along the x axis from the origin.
 
         "alternate": half circles to alternate sides, as a field is worked: to the left, to the

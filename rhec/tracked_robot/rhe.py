@@ -94,9 +94,10 @@ def settings_of(scenario, dt_s=paper.DT_S):
     """
     sensors = scenario.sensors
     speed_model = speed_model_of(scenario.speed_model, sensors)
+    noise = speed_model.noise or tuning.noise_of("rhe", scenario)
     of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
-        V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),
+        V=np.square((*(scenario.sigma_v or noise.sigma_v), *of_sensors)),
         W=np.square(_sigma_w(scenario, speed_model, dt_s)),
         P_0=np.square(sigma_start(speed_model.model)),
         m_0=np.array([_RESTART.get(name, 0.0) for name in speed_model.model.joint_names]),
@@ -120,8 +121,8 @@ def _sigma_w(scenario, speed_model, dt_s):
     names = plain.model.joint_names
     sigma_w = scenario.sigma_w
     if sigma_w is None:
-        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
-        sigma_w = plain.sigma_w or [tuned[name] for name in names]
+        tuned = dict(zip(QUANTITIES, tuning.noise_of("rhe", scenario).sigma_w))
+        sigma_w = plain.noise.sigma_w if plain.noise else [tuned[name] for name in names]
     sigma = dict(zip(names[-plain.n_sigma_w :], sigma_w))
     if not speed_model.model.motion_noise:
         sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)

@@ -75,7 +75,7 @@ def _with_sensors(speed_model, sensors):
         angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
         motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
     )
-    return SpeedModel(model, speed_model.sigma_w)
+    return SpeedModel(model, speed_model.noise)
 
 
 def _with_gyro_noise(base):

@@ -29,7 +29,7 @@ def followed(turned_rad, process_noise="printed", seed=0, spoil=None):
     return np.hypot(*error[:, :2].T), np.angle(np.exp(1j * error[:, 2])), np.array(ok)
 
 
-NOISES = pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
+NOISES = pytest.mark.parametrize("process_noise", ["printed", "prediction"])
 
 
 @NOISES

@@ -217,7 +217,7 @@ def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_
     where `arrival_mean` says.
     """
     phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
-    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
+    sigma = np.array(tuning.NOISES["rhe"][process_noise].sigma_w)[keep]
     _, z = drive(GUESS, weaving_yaw_rates(4 * N))
     z = with_noise(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan

@@ -48,7 +48,7 @@ SCENARIOS = {
             rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0),
         ),
     ),
-    "EKF": dict(estimator="ekf", process_noise="likelihood"),
+    "EKF": dict(estimator="ekf", process_noise="prediction"),
     "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
 }
 

@@ -16,7 +16,7 @@ from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 
-PLAIN = rhec.Scenario(estimator="ekf", process_noise="likelihood", duration_s=20.0)
+PLAIN = rhec.Scenario(estimator="ekf", process_noise="prediction", duration_s=20.0)
 OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
 NAMED = {"allow_duplicate_io_names": True}
 

@@ -240,7 +240,7 @@ def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
     }
     assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE) == sigma_v_and_w()
     assert printed["ekf"] == (paper.SIGMA_V, paper.SIGMA_W_EKF)
-    likeliest = sigma_v_and_w(estimator="ekf", process_noise="likelihood")
+    likeliest = sigma_v_and_w(estimator="ekf", process_noise="prediction")
     assert likeliest == sigma_v_and_w(estimator="ekf") != printed["ekf"]
     # Another estimator brings its own default.
     scenario = dataclasses.replace(rhec.Scenario(), estimator="ekf")
@@ -250,7 +250,7 @@ def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
 def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
     sigma_v, sigma_w = sigma_v_and_w(process_noise="consistent")
     assert sigma_v[3] > paper.SIGMA_V[3]
-    assert sigma_w == tuning.SIGMA_W["rhe"]["consistent"]
+    assert sigma_w == tuning.NOISES["rhe"]["consistent"].sigma_w
     own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), sigma_w=(0.5,) * 6)
     assert sigma_v_and_w(process_noise="consistent", **own) == tuple(own.values())
 
@@ -258,7 +258,7 @@ def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
     assert refusal(estimator="traction_oracle", process_noise="printed") == (
         "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
-        "of ('likelihood',)"
+        "of ('prediction',)"
     )
 
 

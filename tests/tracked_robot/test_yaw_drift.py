@@ -125,7 +125,7 @@ SLIPPING_ASIDE = dict(
     gnss_sigma_m=0.003,
     bump_sigma_radps=0.0,
     start_offset_m=0.2,
-    process_noise="likelihood",
+    process_noise="prediction",
     seed=1,
 )
 
