@@ -29,17 +29,31 @@ def columns(run, names):
     return np.array([run.columns[name] for name in names]).T
 
 
-def run_estimator_on_all(scenario, runs, *outputs):
-    """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
+def run_estimators(scenarios, runs, *outputs):
+    """Outputs of each scenario's estimator on the measurements of a Run of its own.
 
-    The estimator starts where the robot is. It runs in lanes where there are any.
+    The estimators start where the robots are. They run in lanes where there are any.
+
+    Args:
+        scenarios: Scenarios, one for each run, whose estimators have one structure.
+        runs: The Runs.
+        outputs: Names of outputs of the estimator's step.
+
+    Returns:
+        A list of {name: array}.
     """
-    structure = outputs, Choice.of(scenario)
+    structure = outputs, Choice.of(scenarios[0])
     step = _build(*structure)["step"]
-    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
+    pairs = zip(scenarios, runs, strict=True)
+    memories, streams, settings = zip(*(_arguments(step, *pair) for pair in pairs))
     (program,) = lanes.programs(_build, [structure])
     rows = runner.run(program, memories, streams, settings)
     return [runner.by_name(step, of_run) for of_run in rows]
+
+
+def run_estimator_on_all(scenario, runs, *outputs):
+    """As `run_estimators`, for one scenario's estimator on the measurements of all Runs."""
+    return run_estimators([scenario] * len(runs), runs, *outputs)
 
 
 def run_estimator(scenario, run, *outputs):
