@@ -49,7 +49,7 @@ _TRAINING_DRIVES = 2
 _TRAINING_ROWS = 1.5  # one row, a headland and half a row
 _CANDIDATES = 32  # of a generation
 _ELITE = 8  # of those, about which the next generation is drawn
-_GENERATIONS = 10
+_GENERATIONS = 8
 _FIRST_DEVIATION = 1.0  # of a logarithm
 _LEAST = 1e-3  # less than 1 mm, 1 mrad or 1 mm/s has no effect
 _MOST = 10.0
@@ -174,19 +174,20 @@ def on_pattern(world, turns):
 def drive_by_rule(worlds):
     """Drive worlds by each rule, on their own paths and on each of PATTERNS.
 
-    The fields of a world are the same for all rules and paths.
+    The fields of a world are the same for all rules, and on all of PATTERNS, where it has one.
 
     Args:
         worlds: Of `with_noises`.
 
     Returns:
         DataFrame, one row a world and field, with columns (turns and variant, error or violations);
-        turns are OWN or of PATTERNS.
+        turns are OWN or of PATTERNS. NaN where a field was not driven.
     """
     tables = {}
     for turns in (OWN, *PATTERNS):
         driven = [on_pattern(world, turns) for world in worlds]
-        table = which_worlds.drive(driven, UNUSED_SEED, VARIANTS)
+        fields = which_worlds.FIELDS if turns == OWN else 1
+        table = which_worlds.drive(driven, UNUSED_SEED, VARIANTS, fields)
         for variant in VARIANTS:
             tables[f"{turns} {variant}"] = table[variant][list(_KEPT)]
     return pd.concat(tables, axis=1).astype(np.float16)
@@ -296,11 +297,11 @@ def in_words(file=TABLE):
 
 # Which unknowns decide
 
-EFFECT_ROWS = 256  # of each of the two samples, a power of 2
-EFFECT_RULES = {"consistent": "consistent", "prediction": "prediction", "tracking": "tracking"}
+EFFECT_ROWS = 128  # of each of the two samples, a power of 2
+EFFECT_RULES = ("consistent", "prediction", "tracking")
 _EFFECT_SEED = UNUSED_SEED + 2**21
 _EFFECT_VARIANTS = {
-    f"{e}_{rule}": Variant(e, w) for rule, w in EFFECT_RULES.items() for e in ESTIMATORS
+    f"{e}_{rule}": Variant(e, rule) for rule in EFFECT_RULES for e in ESTIMATORS
 }
 # A free W says nothing of an order in which W is picked by rule.
 _EFFECT_UNKNOWNS = tuple(name for name in UNKNOWNS if not name.startswith("sigma_"))

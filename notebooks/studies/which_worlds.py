@@ -42,13 +42,13 @@ POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
 POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 
 FIRST_ROUND = 2048  # worlds of the prior
-SECOND_ROUND = 4096  # worlds near those of the first that came near the paper
+SECOND_ROUND = 2048  # worlds near those of the first that came near the paper
 KEEP_FIRST = 800  # nearest simulations of the first round, behind the second
 FIELDS = 2  # of each world
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
 _BLOCK = 256  # worlds in one file of build/inverse
 KEEP = 1000  # nearest simulations behind a posterior
-DRAWS = 512  # worlds in POSTERIOR_WORLDS
+DRAWS = 320  # worlds in POSTERIOR_WORLDS
 COPIES = 64  # of the default world, and of the centre, in POSTERIOR_DRIVES
 UNUSED_SEED = FIRST_SEED + 2**20  # no world of either round has these fields
 _OTHER_TIME = 2**24  # from the seed of the RHE's noise to that of the EKF's
@@ -577,9 +577,9 @@ def posterior_draws(table, n=DRAWS, seed=0, keep=None):
         keep: How many of the nearest simulations count; None: KEEP.
 
     Returns:
-        DataFrame of n worlds, by UNKNOWNS; one of their fields (`fields_of`) with the W of each
-        estimator, w_rhe and w_ekf, and the `world` of the table that each is from; and the
-        `abc_regression.Draws` that they are from.
+        DataFrame of n worlds, by UNKNOWNS, NaN where a W is not free; one of their fields
+        (`fields_of`) with the W of each estimator, w_rhe and w_ekf, and the `world` of the table
+        that each is from; and the `abc_regression.Draws` that they are from.
     """
     draws = abc_regression.posterior(table, observed(), keep or KEEP)
     unit, rows = abc_regression.resample(draws, n, np.random.default_rng(seed))
@@ -588,6 +588,9 @@ def posterior_draws(table, n=DRAWS, seed=0, keep=None):
     of_choice = len(table.world) // len(CHOICES)
     w_rhe, w_ekf = zip(*(CHOICES[row // of_choice] for row in rows))
     fields = fields.assign(w_rhe=w_rhe, w_ekf=w_ekf, world=table.world[rows])
+    for estimator in ("rhe", "ekf"):
+        names = [name for name in PRIORS if name.startswith(f"sigma_{estimator}")]
+        worlds.loc[fields[f"w_{estimator}"] != "free", names] = np.nan
     return worlds, fields, draws
 
 
@@ -642,8 +645,7 @@ def _summary(worlds, fields, draws):
     sizes = worlds.assign(slip_difference_size=worlds["slip_difference"].abs())
     for name in ("mu_slip", "kappa_slip", "slip_difference", "slip_difference_size"):
         row[name] = _median_text(sizes[name])
-    free = worlds[fields["w_ekf"].to_numpy() == "free"]
-    return row | {name: _median_text(free[name]) for name in ("sigma_ekf_m",)}
+    return row
 
 
 def _median_text(values):
@@ -652,13 +654,8 @@ def _median_text(values):
     return f"{median:.2g} [{low:.2g}, {high:.2g}]"
 
 
-def learned(worlds, fields):
-    """What the paper's numbers tell of each unknown.
-
-    A free W is that of the worlds whose W is free.
-
-    Args:
-        worlds, fields: Of `posterior_draws`.
+def learned(worlds):
+    """What the paper's numbers tell of each unknown, by the worlds of `posterior_draws`.
 
     Returns:
         DataFrame, one row an unknown with a range: that of its prior, the posterior's median and
@@ -667,11 +664,7 @@ def learned(worlds, fields):
     """
     rows = {}
     for name, prior in PRIORS.items():
-        values = worlds[name]
-        for estimator in ("rhe", "ekf"):
-            if name.startswith(f"sigma_{estimator}"):
-                values = values[fields[f"w_{estimator}"].to_numpy() == "free"]
-        low, median, high = np.quantile(values, [0.05, 0.5, 0.95])
+        low, median, high = np.quantile(worlds[name].dropna(), [0.05, 0.5, 0.95])
         scale = np.log if prior.logarithmic else np.asarray
         width = (scale(high) - scale(low)) / (scale(prior.most) - scale(prior.least)) / 0.9
         rows[name] = dict(
@@ -822,9 +815,9 @@ def shares(statistics, effective=None, fields=FIELDS):
     of_drives = flags.reshape(-1, flags.shape[-1]).mean(axis=0)
     n = effective or flags.shape[-2] / fields
     rows = [effective_share(value, n) for value in of_drives]
-    return pd.DataFrame(rows, _statement_texts(), ["drives", "low", "high"]).rename_axis(
-        "statement"
-    )
+    return pd.DataFrame(
+        rows, _statement_texts(), ["drives", "drives_low", "drives_high"]
+    ).rename_axis("statement")
 
 
 def effective_share(value, n):
