@@ -102,9 +102,7 @@ def test_a_memory_without_any_number_does_no_lasting_harm(given):
         for name in ("s", "v", "z", "m", "P"):
             rhe.iteration.previous[name].fill(np.nan)
 
-    estimates, solved = estimated(
-        rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given), Z, emptied
-    )
+    estimates, solved = estimated(rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given), Z, emptied)
     assert sound(estimates[HIT + 3 :]) and not solved[HIT + 1] and solved[-20:].all()
     assert np.abs(estimates - TRUTH)[-20:, :2].max() < 1
 

@@ -45,7 +45,7 @@ def test_ten_lines_steer_the_robot_to_its_path(estimator):
 def test_it_is_told_what_is_promised_and_remembers():
     """A step that checks its inputs against the settings, and counts the samples."""
     names = "memory s_0 x_ref u_ref lower upper Q QN R s covariance segments period_m speed_mps"
-    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 8), 1, 1, 1]
+    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 12), 1, 1, 1]
     names = [*names.split(), "disturbance"]
     given = {name: ca.SX.sym(name, *np.atleast_1d(size)) for name, size in zip(names, shapes)}
     path = rhec.Path.rows(PLAIN.row_length_m, PLAIN.headland_radius_m)
