@@ -174,7 +174,7 @@ def swept(estimator, process_noise, state, values, seeds):
 
 
 def sweep_of(name, seeds):
-    """As `swept`, with one of ENTRIES of the printed W, from its value as printed to the predicting one.
+    """As `swept`, with one of ENTRIES of the printed W moved from its value to that by prediction.
 
     The first result has the runs for pictures alone.
     """
