@@ -277,9 +277,8 @@ def fields_of(world):
 def duration_s(rows, fields):
     """How long a drive over so many rows, with the headlands between them, takes [s]."""
     path = Path.rows(fields["row_length_m"], fields["headland_radius_m"], fields["turns"])
-    begins_m = path.segments[:2, 0]  # of the first row and of the first headland
-    turn_m = 2 * path.length_m / len(path.segments) - fields["row_length_m"]
-    length_m = rows * begins_m[1] + np.floor(rows) * turn_m
+    row_m, turn_m = np.diff(path.segments[:3, 0])
+    length_m = rows * row_m + np.floor(rows) * turn_m
     return round(float(length_m / (fields["mu_mean"] * fields["speed_mps"])), 1)
 
 
