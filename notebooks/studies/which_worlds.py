@@ -291,21 +291,26 @@ _SPEED_NOISE_MPS = 0.001  # of a sample, in a free W
 def noise_of(estimator, w, fields):
     """The fields of Scenario that give an estimator its W in a world.
 
+    A free W is one of the paper's two estimators; others have theirs by prediction instead, and so
+    has what else a rule picks.
+
     Args:
-        estimator: "rhe" or "ekf".
+        estimator: Of Scenario.
         w: Of W_RHE or W_EKF, the name of a rule for W, or "fitted", which a world must have in
             fitted_rhe and fitted_ekf.
         fields: Of the world (`fields_of`).
     """
     if w == "fitted":
         return fields[f"fitted_{estimator}"]
+    if w == "free" and estimator not in ("rhe", "ekf"):
+        return dict(process_noise="prediction")
     if w != "free":
         return W_RHE.get(w, dict(process_noise=w))
     sigma_m = fields[f"sigma_{estimator}_m"]
     sigma_w = (sigma_m, sigma_m, fields[f"sigma_{estimator}_rad"], _SPEED_NOISE_MPS)
     if estimator == "rhe":
         sigma_w += (fields["sigma_rhe_traction"],) * 2
-    return dict(sigma_w=sigma_w, sigma_v=paper.SIGMA_V)
+    return dict(process_noise="prediction", sigma_w=sigma_w, sigma_v=paper.SIGMA_V)
 
 
 class Variant(NamedTuple):
