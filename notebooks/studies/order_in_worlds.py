@@ -18,7 +18,7 @@ from notebooks.studies import order, which_worlds
 from notebooks.studies.parallel import map_runs, parallel_map
 from notebooks.studies.which_worlds import DATA, UNKNOWNS, UNUSED_SEED, Variant
 from rhec import Fault, paper
-from rhec.simulation.offline import run_estimators
+from rhec.simulation.offline import deviances
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
@@ -88,8 +88,8 @@ def _fitted_in(numbered):
     runs = simulate([Scenario(**fields, estimator="oracle", seed=seed) for seed in seeds])
     rows = []
     for estimator in ESTIMATORS:
-        sigma_w, sigma_v = fit_prediction(estimator, runs, seed=number)
-        texts = (" ".join(f"{value:.3g}" for value in sigma) for sigma in (sigma_w, sigma_v))
+        noise = fit_prediction(estimator, runs, seed=number)
+        texts = (" ".join(f"{value:.3g}" for value in sigma) for sigma in noise)
         rows.append((number, estimator, *texts))
     return rows
 
@@ -106,9 +106,10 @@ def fit_prediction(estimator, runs, seed=0):
         seed: Of the candidates.
 
     Returns:
-        sigma_w and sigma_v, tuples.
+        A `tuning.Noise`.
     """
     rng = np.random.default_rng(seed)
+    scenario = Scenario(estimator=estimator)
     mean = np.log(_FIRST[estimator])
     root = _FIRST_DEVIATION * np.eye(len(mean))
     best = np.inf, None
@@ -116,30 +117,23 @@ def fit_prediction(estimator, runs, seed=0):
         candidates = mean + rng.standard_normal((_CANDIDATES, len(mean))) @ root.T
         candidates = np.clip(candidates, np.log(_LEAST), np.log(_MOST))
         noises = [_noise_at(estimator, candidate) for candidate in candidates]
-        scores = _deviances(estimator, noises, runs)
+        scores = deviances(scenario, noises, runs).sum(axis=1)
         ranked = np.argsort(scores)
         best = min(best, (scores[ranked[0]], noises[ranked[0]]), key=lambda scored: scored[0])
         elite = candidates[ranked[:_ELITE]]
         mean = elite.mean(axis=0)
         root = np.diag(elite.std(axis=0) + 0.02)
-    return best[1]["sigma_w"], best[1]["sigma_v"]
+    return best[1]
 
 
 def _noise_at(estimator, logarithms):
-    """The fields sigma_w and sigma_v at a point of the search."""
+    """The Noise at a point of the search."""
     sigma_w = [_LEAST] * len(tuning.NOISES[estimator]["printed"].sigma_w)
     sigma = np.array([*sigma_w, *paper.SIGMA_V])
     for places, logarithm in zip(_PLACES[estimator], logarithms):
         sigma[list(places)] = np.exp(logarithm)
     sigma = sigma.tolist()
-    return dict(sigma_w=tuple(sigma[: len(sigma_w)]), sigma_v=tuple(sigma[len(sigma_w) :]))
-
-
-def _deviances(estimator, noises, runs):
-    """-2 log likelihood of all measurements of Runs under each noise, (n,)."""
-    scenarios = [Scenario(estimator=estimator, **noise) for noise in noises for _ in runs]
-    found = run_estimators(scenarios, list(runs) * len(noises), "deviance")
-    return np.reshape([of["deviance"].sum() for of in found], (len(noises), len(runs))).sum(axis=1)
+    return tuning.Noise(tuple(sigma[: len(sigma_w)]), tuple(sigma[len(sigma_w) :]))
 
 
 # Drives in the posterior's worlds

@@ -42,13 +42,13 @@ POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
 POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 
 FIRST_ROUND = 2048  # worlds of the prior
-SECOND_ROUND = 2048  # worlds near those of the first that came near the paper
+SECOND_ROUND = 3072  # worlds near those of the first that came near the paper
 KEEP_FIRST = 800  # nearest simulations of the first round, behind the second
 FIELDS = 2  # of each world
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
 _BLOCK = 256  # worlds in one file of build/inverse
-KEEP = 1000  # nearest simulations behind a posterior
-DRAWS = 320  # worlds in POSTERIOR_WORLDS
+KEEP = 3500  # nearest simulations behind a posterior
+DRAWS = 300  # worlds in POSTERIOR_WORLDS
 COPIES = 64  # of the default world, and of the centre, in POSTERIOR_DRIVES
 UNUSED_SEED = FIRST_SEED + 2**20  # no world of either round has these fields
 _OTHER_TIME = 2**24  # from the seed of the RHE's noise to that of the EKF's
@@ -599,7 +599,7 @@ def posterior_draws(table, n=DRAWS, seed=0, keep=None):
 
 
 PRIORS_ON_PRINTED = (0.5, 0.8, 0.95)
-KEPT = (250, 500, 1000, 2000)  # simulations, in `by_kept`
+KEPT = (250, 500, 1000, 2000, 3500)  # simulations, in `by_kept`
 
 
 def sensitivity(drives, design, n=2000, seed=0):

@@ -29,31 +29,39 @@ def columns(run, names):
     return np.array([run.columns[name] for name in names]).T
 
 
-def run_estimators(scenarios, runs, *outputs):
-    """Outputs of each scenario's estimator on the measurements of a Run of its own.
+def run_estimator_on_all(scenario, runs, *outputs):
+    """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
 
-    The estimators start where the robots are. They run in lanes where there are any.
-
-    Args:
-        scenarios: Scenarios, one for each run, whose estimators have one structure.
-        runs: The Runs.
-        outputs: Names of outputs of the estimator's step.
-
-    Returns:
-        A list of {name: array}.
+    The estimator starts where the robot is. It runs in lanes where there are any.
     """
-    structure = outputs, Choice.of(scenarios[0])
+    structure = outputs, Choice.of(scenario)
     step = _build(*structure)["step"]
-    pairs = zip(scenarios, runs, strict=True)
-    memories, streams, settings = zip(*(_arguments(step, *pair) for pair in pairs))
+    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
     (program,) = lanes.programs(_build, [structure])
     rows = runner.run(program, memories, streams, settings)
     return [runner.by_name(step, of_run) for of_run in rows]
 
 
-def run_estimator_on_all(scenario, runs, *outputs):
-    """As `run_estimators`, for one scenario's estimator on the measurements of all Runs."""
-    return run_estimators([scenario] * len(runs), runs, *outputs)
+def deviances(scenario, noises, runs):
+    """-2 log likelihood of each Run's measurements under each noise of the scenario's estimator.
+
+    Args:
+        scenario: The Scenario, whose own noise does not count.
+        noises: `tuning.Noise` records.
+        runs: Runs.
+
+    Returns:
+        (noises, runs).
+    """
+    structure = ("deviance",), Choice.of(scenario)
+    step = _build(*structure)["step"]
+    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
+    variances = [dict(V=np.square(of.sigma_v), W=np.square(of.sigma_w)) for of in noises]
+    n = len(noises)
+    (program,) = lanes.programs(_build, [structure])
+    of_both = [of_run | of_noise for of_noise in variances for of_run in settings]
+    rows = runner.run(program, memories * n, streams * n, of_both)
+    return np.reshape([of.sum() for of in rows], (n, len(runs)))
 
 
 def run_estimator(scenario, run, *outputs):

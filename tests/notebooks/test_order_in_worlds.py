@@ -9,6 +9,8 @@ import pytest
 import rhec
 from notebooks.studies import order_in_worlds, which_worlds
 from rhec import paper
+from rhec.simulation import offline
+from rhec.tracked_robot import tuning
 
 
 @pytest.fixture(scope="module")
@@ -41,18 +43,33 @@ def test_the_fit_finds_the_noise_of_the_positions():
     """Oracle: the simulated GNSS has white noise alone, of a known deviation."""
     fields = dict(gnss_sigma_m=0.02, gnss_slow_share=0.0, duration_s=60.0, estimator="oracle")
     runs = [rhec.simulate(rhec.Scenario(**fields, seed=600_000))]
-    _, sigma_v = order_in_worlds.fit_prediction("ekf", runs)
+    sigma_v = order_in_worlds.fit_prediction("ekf", runs).sigma_v
     assert sigma_v[0] == sigma_v[1] == pytest.approx(0.02, rel=0.15)
 
 
 def test_the_fit_predicts_better_than_the_noise_that_is_printed():
     runs = [rhec.simulate(rhec.Scenario(estimator="oracle", duration_s=40.0, seed=600_001))]
     for estimator in order_in_worlds.ESTIMATORS:
-        sigma_w, sigma_v = order_in_worlds.fit_prediction(estimator, runs)
-        sigma_of = order_in_worlds.tuning.NOISES[estimator]["printed"]
-        noises = [dict(sigma_w=sigma_w, sigma_v=sigma_v), sigma_of._asdict()]
-        fitted, printed = order_in_worlds._deviances(estimator, noises, runs)
+        noises = [
+            order_in_worlds.fit_prediction(estimator, runs),
+            tuning.NOISES[estimator]["printed"],
+        ]
+        fitted, printed = offline.deviances(rhec.Scenario(estimator=estimator), noises, runs)
         assert fitted < printed
+
+
+def test_deviances_are_those_of_each_run_by_itself():
+    """Oracle: `offline.run_estimator`, one noise and run at a time."""
+    runs = rhec.simulate(
+        [rhec.Scenario(estimator="oracle", duration_s=9.0, seed=600_002 + k) for k in range(2)]
+    )
+    noises = [tuning.NOISES["rhe"][rule] for rule in ("printed", "prediction")]
+    found = offline.deviances(rhec.Scenario(), noises, runs)
+    for noise, of_noise in zip(noises, found):
+        scenario = rhec.Scenario(**noise._asdict())
+        for run, value in zip(runs, of_noise):
+            alone = offline.run_estimator(scenario, run, "deviance")["deviance"].sum()
+            assert value == pytest.approx(alone, rel=1e-9)
 
 
 def test_a_world_has_the_noise_that_was_fitted_in_it(worlds):
