@@ -28,7 +28,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 from rhec.tracked_robot.sensors import OUTPUTS
 
 # The entries of a measurement z of the paper's robot; those of other sensors follow.
@@ -87,15 +87,15 @@ def export(scenario):
     # An EKF receives the same traction as in the closed loop.
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
-    horizon = horizon_of(scenario.prediction_horizon)
+    stages = stages_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
 
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
     else:
         estimate = _split_step(estimator.build_step(choice))
-    control = build_controller(horizon)
-    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
+    control = build_controller(stages)
+    references = build_references(stages.dt_s, stages.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
     follow = _build_follow(references, reports_accepted, n_z)
@@ -108,7 +108,7 @@ def export(scenario):
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
-        return plan_init(horizon, pose, speed_and_traction)
+        return plan_init(stages, pose, speed_and_traction)
 
     n = len(QUANTITIES)
     start = _Start(first_estimate, "estimate", n)
@@ -119,7 +119,7 @@ def export(scenario):
         phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
     has_gate = "rejected" in estimate["shift"].name_in()
     most = patience(choice.estimation_horizon) if has_gate else 0
-    macros = _macros_on_a_path(scenario, horizon.dt_s, most)
+    macros = _macros_on_a_path(scenario, stages.dt_s, most)
     return _export(phases, settings, setup.guess, macros)
 
 
@@ -154,8 +154,8 @@ def _macros_on_a_path(scenario, dt_s, rejected):
 
 def export_model(rhe=None, rhc=None):
     """Return the Export of the RHE, the RHC or both of a Model."""
-    model = rhe.model if rhe else rhc.problem.model
-    dt_s = rhe.window.dt_s if rhe else rhc.problem.dt_s
+    model = rhe.model if rhe else rhc.stages.model
+    dt_s = rhe.window.dt_s if rhe else rhc.stages.dt_s
     macros = dict(DT_S=(dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
@@ -176,8 +176,8 @@ def export_model(rhe=None, rhc=None):
     if rhc:
         n_x = len(model.states)
         settings |= rhc.settings
-        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s)
-        control = build_controller(rhc.structure)
+        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.stages.n_s)
+        control = build_controller(rhc.stages)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"

@@ -206,7 +206,7 @@ def memory_and_stream(name, guess, z, references):
     """What the scan of a robot's fused step begins with, and its rows of input."""
     (mhe, mpc), n_x = scanned(name), len(EVERY_ROBOT[name].states)
     start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, EVERY_ROBOT[name].sigma_guess))
-    plan = rhc.init(mpc.problem, guess[:n_x], guess[n_x:])
+    plan = rhc.init(mpc.stages, guess[:n_x], guess[n_x:])
     stream = [[*row, *flat(x_ref), *flat(u_ref)] for row, (x_ref, u_ref) in zip(z, references)]
     return np.concatenate([pack_array(start), pack_array(plan)]), np.array(stream)
 
@@ -219,7 +219,7 @@ def fused_model(name, folder):
         # The fused step has no first sample of its own, for which the live object iterates.
         mpc.iteration.improve_first = lambda iterations: None
         n_x = len(EVERY_ROBOT[name].states)
-        mpc.iteration.start(rhc.init(mpc.problem, guess[:n_x], guess[n_x:]))
+        mpc.iteration.start(rhc.init(mpc.stages, guess[:n_x], guess[n_x:]))
         expected, _ = by_live_objects(mhe, mpc, z, references)
         rows = runner.run_one(build_scan(name), *memory_and_stream(name, guess, z, references), {})
     compared(rows, expected)

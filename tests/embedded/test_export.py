@@ -617,7 +617,7 @@ def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tm
     with no_compiler():
         mhe, mpc = made_for(ROBOTS["cart"])
         kalman = dict(dt=DT, guess=(0, 0, 0), **ROBOTS["cart"].estimator)
-        other = rhec.RHC(model=mpc.problem.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
+        other = rhec.RHC(model=mpc.stages.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
         parts, sentence = {
             "twice": ((mhe, mhe), "^scenario was .* it should be a RHE, a RHC or one of each"),
             "paper": (rhec.RHE(), "for the paper's robot a Scenario$"),
