@@ -22,6 +22,7 @@ from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.core.solver.rti import IMPROVE
+from rhec.core.wiring import in_two_memories, renamed, wired
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path
 from rhec.tracked_robot.choice import Choice
@@ -53,14 +54,6 @@ _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
 _PHASES = "start", "expand", "shift", "linearise", "feedback", "improve"
 
 
-class _Phase(NamedTuple):
-    """A Function, and the places of its arguments and results in the C memory, in order."""
-
-    function: ca.Function
-    reads: dict  # {argument: place}
-    writes: dict  # {result: place}
-
-
 class _Start(NamedTuple):
     """The initial memory of an owner."""
 
@@ -72,7 +65,7 @@ class _Start(NamedTuple):
 class Export(NamedTuple):
     """The content of the generated C."""
 
-    phases: dict  # {name in C: _Phase}
+    phases: dict  # {name in C: Wired, at places in the C memory}
     memory: dict  # {place in struct rhec: number of doubles}
     settings: dict  # {name: matrix}
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
@@ -116,7 +109,7 @@ def export(scenario):
     start = _Start(first_plan, "estimate", n)
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
-        phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
+        phases[f"path_{name}"] = _in_struct(wired(function), "path", (), settings, _SHARED)
     has_gate = "rejected" in estimate["shift"].name_in()
     most = patience(choice.estimation_horizon) if has_gate else 0
     macros = _macros_on_a_path(scenario, stages.dt_s, most)
@@ -204,40 +197,29 @@ def _export(phases, settings, guess, macros):
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """Return {name in C: _Phase} of the phases of an owner, including its start."""
+    """Return {name in C: Wired} of the phases of an owner, including its start."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
     functions = functions | dict(start=_build_start(f"rhec_{owner}_start", start, memory))
+    parts = in_two_memories(functions, memory)
     return {
-        f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings, shared)
+        f"{owner}_{name}": _in_struct(parts[name], owner, memory, settings, shared)
         for name in _PHASES
-        if name in functions
+        if name in parts
     }
 
 
-def _bind(function, phase, owner, memory, settings, shared):
-    """Return a phase with its places.
+def _in_struct(part, owner, memory, settings, shared):
+    """Return a Wired phase with its places in the C memory."""
 
-    Memory exists twice, as in `rti.RealTimeIteration`: `shift` reads `previous` and writes
-    `current`; all other phases read `current` and write `previous`.
-    """
-
-    def place(name, version):
-        if name in memory:
-            return f"{owner}.{version}.{name}"
+    def place_of(name):
+        if name.partition(".")[2] in memory:
+            return f"{owner}.{name}"
         if name in settings:
             return f"settings->{name}"
         return shared.get(name, f"{owner}.{name}")
 
-    if phase == "shift":
-        read = "previous"
-        written = "current"
-    else:
-        read = "current"
-        written = "previous"
-    reads = {name: place(name, read) for name in function.name_in()}
-    writes = {name: place(name, written) for name in function.name_out()}
-    return _Phase(function, reads, writes)
+    return renamed(part, place_of)
 
 
 def _build_start(name, start, shapes):
