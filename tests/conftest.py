@@ -95,6 +95,6 @@ def virtual_machine():
 @pytest.fixture(scope="session")
 def run():
     """One minute of the paper's loop in a simple world, calibrated."""
-    scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
+    scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=60.0)
     with no_compiler():
         return rhec.simulate(scenario)

@@ -120,7 +120,7 @@ def _as_number(paper):
 
 
 def _conditions(text):
-    """[(condition, verdict, sign)] of "as printed: holds; W by likelihood: undecided"."""
+    """[(condition, verdict, sign)] of "as printed: holds; W by prediction: undecided"."""
     pairs = [part.rsplit(": ", 1) for part in text.split("; ") if part]
     return [(name, verdict, LOOKS[kind_of(verdict)][1]) for name, verdict in pairs if name]
 

@@ -107,7 +107,7 @@ def _arrival_cost(process_noise, log):
         `_sigma_left`; and `grown_with_w` and `grown_without_w`, see `_growth`.
     """
     steps = compiled.load(build_with_given_arrival)
-    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])
+    sigma = np.array(tuning.NOISES["rhe"][process_noise].sigma_w)
     estimates, P = run_with_given_arrival(steps, log, process_noise)
     # W^-1/2 (P - W) W^-1/2: the states have different units, and W makes them comparable.
     half = 1 / np.sqrt(sigma**2)
@@ -356,7 +356,7 @@ def steps_in_time(duration_s=60.0):
         DataFrame: in_time, whether the whole step takes less than a sample; whole_us, and
         feedback_us, the part of it after the measurement.
     """
-    scenario = Scenario(process_noise="likelihood", duration_s=duration_s)
+    scenario = Scenario(process_noise="prediction", duration_s=duration_s)
     taken = timing.phases(scenario, timing.CONTROLLERS["daqp"])
     whole_us = taken.sum(axis=1)
     is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
@@ -377,7 +377,7 @@ def certainty_equivalence(duration_s=60.0):
     Returns:
         DataFrame, one row a sample: off_radps, the difference of the two commands [rad/s].
     """
-    (run,) = simulate([Scenario(process_noise="likelihood", duration_s=duration_s)])
+    (run,) = simulate([Scenario(process_noise="prediction", duration_s=duration_s)])
     controller = rhec.RHC(q=run.scenario.q, r=run.scenario.r)
     tracker = PathTracker(run.path, run.scenario.prediction_horizon)
     rows = []

@@ -20,9 +20,9 @@ from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, LOST, UNTESTABL
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-LIKELIHOOD = "W by likelihood"
+PREDICTION = "W by prediction"
 _FILE = Path(__file__).with_name("claims.toml")
-_CONDITIONS = {"printed": AS_PRINTED, "likelihood": LIKELIHOOD}  # of each process noise
+_CONDITIONS = {"printed": AS_PRINTED, "prediction": PREDICTION}  # of each process noise
 
 
 class Condition(NamedTuple):
@@ -259,8 +259,8 @@ def _by_condition(entry, expressions, departures):
     for departure in departures:
         fixed = departure.get("process_noises")  # where the departure sets W itself
         for process_noise in fixed or _CONDITIONS:
-            both = process_noise == "likelihood"
-            name = f"{LIKELIHOOD}, {departure['name']}" if both else departure["name"]
+            both = process_noise == "prediction"
+            name = f"{PREDICTION}, {departure['name']}" if both else departure["name"]
             conditions[name] = _condition(entry, expressions, process_noise, departure["instead"])
     return conditions
 

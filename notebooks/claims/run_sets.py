@@ -23,7 +23,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
-PROCESS_NOISES = ("printed", "likelihood")
+PROCESS_NOISES = ("printed", "prediction")
 LOOK_AHEAD_M = 0.5
 _SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
@@ -41,7 +41,7 @@ def _traction_noise_times(factor):
     """The RHE's W with the standard deviations of μ and κ times `factor`."""
     factors = (1, 1, 1, 1, factor, factor)
     return lambda process_noise: tuple(
-        np.multiply(factors, tuning.SIGMA_W["rhe"][process_noise]).tolist()
+        np.multiply(factors, tuning.NOISES["rhe"][process_noise].sigma_w).tolist()
     )
 
 
@@ -81,7 +81,7 @@ RUNS = {
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
     # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(estimator="yaw_drift_ekf", process_noise="likelihood", duration_s=270.0)
+    "cautious": dict(estimator="yaw_drift_ekf", process_noise="prediction", duration_s=270.0)
     | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
@@ -141,7 +141,7 @@ def scenarios(fields, process_noise, seeds, world=None):
 
     Args:
         fields: Of RUNS or LOGS; they take precedence over those of the world.
-        process_noise: "printed" or "likelihood".
+        process_noise: "printed" or "prediction".
         seeds: Seeds of the fields.
         world: Fields of Scenario.
     """

@@ -1,7 +1,7 @@
 """In which share of the posterior's worlds each claim about driving holds.
 
 A world is a dict of Scenario's fields. It may also say which W the RHE has (w_rhe) and which the
-EKF (w_ekf, see `which_worlds.noise_of`); all others are those by likelihood. In each, a few fields
+EKF (w_ekf, see `which_worlds.noise_of`); all others are those by prediction. In each, a few fields
 are driven, and the rule of a claim is applied to the value itself: few fields have no useful
 interval, but the share of worlds has one.
 
@@ -18,7 +18,7 @@ import pandas as pd
 
 from notebooks.claims import evidence as looks
 from notebooks.claims import run_sets
-from notebooks.claims.rules import LIKELIHOOD
+from notebooks.claims.rules import PREDICTION
 from notebooks.studies import which_worlds
 from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, share
 from rhec import paper
@@ -41,11 +41,11 @@ def _usable(world):
 
 def _noise(world, estimator):
     """The fields of Scenario that give an estimator the W that it has in a world."""
-    w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "likelihood")
+    w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "prediction")
     noise = dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
-    of_estimator = tuning.SIGMA_W.get(estimator, {})
+    of_estimator = tuning.NOISES.get(estimator, {})
     named = noise["process_noise"] in of_estimator or "sigma_w" in noise
-    return noise if named else dict(process_noise="likelihood")
+    return noise if named else dict(process_noise="prediction")
 
 
 def _drive_s(fields, on_row):
@@ -82,7 +82,7 @@ def _is_driven(claim):
 
 def _tables_of(claim):
     """The tables (kind, id) of a claim, and whether it is judged on whole drives."""
-    tables = claim.rule.by_condition[LIKELIHOOD].tables
+    tables = claim.rule.by_condition[PREDICTION].tables
     whole = all(kind == "runs" and id_ in _WHOLE_DRIVES for _, kind, id_ in tables)
     return [(kind, id_, whole) for _, kind, id_ in tables]
 
@@ -111,10 +111,10 @@ def _in_world(claim, found, place, fields):
     """The Finding of a claim in the world at `place`, where W is the world's."""
     rows = slice(place * fields, (place + 1) * fields)
     evidence = {
-        ("likelihood", kind, id_): found[kind, id_, whole][rows]
+        ("prediction", kind, id_): found[kind, id_, whole][rows]
         for kind, id_, whole in _tables_of(claim)
     }
-    return claim.rule.by_condition[LIKELIHOOD](evidence)
+    return claim.rule.by_condition[PREDICTION](evidence)
 
 
 # Verdicts in worlds

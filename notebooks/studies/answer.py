@@ -22,7 +22,7 @@ RESULTS = Path(__file__).resolve().parents[2] / "data/results"
 _RULES = {  # {process_noise: the rule that picks W}
     "printed": "as printed",
     "consistent": "consistent",
-    "likelihood": "by likelihood",
+    "prediction": "by prediction",
     "tracking": "by least tracking error",
 }
 _OTHERS = tuple(_RULES)[1:]  # the rules that are ours

@@ -67,7 +67,7 @@ def test_other_numbers_are_answered_otherwise():
     assert said[EKF_ERROR].startswith("Not as printed.")
     assert "loses its heading" in said[EKF_ERROR]
     assert said[BETTER].startswith("It depends on the rule")
-    assert "by likelihood: no (0.0600 against 0.0500 m)" in said[BETTER]
+    assert "by prediction: no (0.0600 against 0.0500 m)" in said[BETTER]
     assert "As printed: EKF lost;" in said[BETTER]
     assert said[CAUSE].startswith("W, more than the traction")
     assert answer.in_short(scenario_b(other)).startswith("In part.")
@@ -92,7 +92,7 @@ def test_the_table_says_of_each_number_whether_it_is_met_possible_or_lost(tmp_pa
     assert columns[1:] == [
         "W as printed",
         "W consistent",
-        "W by likelihood",
+        "W by prediction",
         "W by least tracking error",
     ]
     words = table[columns[1:]].map(lambda text: text.split(" ", 1)[1].partition(":")[0])

@@ -162,14 +162,14 @@ def test_a_ratio_to_almost_nothing_is_undecided_without_a_warning():
         (HOLDS, HOLDS, (HOLDS, "as printed")),
         (HOLDS, FAILS, ("holds only as printed", "as printed")),
         (HOLDS, UNDECIDED, ("holds as printed", "as printed")),
-        (FAILS, HOLDS, ("holds only with W by likelihood", "W by likelihood")),
-        (UNDECIDED, HOLDS, ("holds with W by likelihood", "W by likelihood")),
-        (FAILS, UNDECIDED, (UNDECIDED, "W by likelihood")),
+        (FAILS, HOLDS, ("holds only with W by prediction", "W by prediction")),
+        (UNDECIDED, HOLDS, ("holds with W by prediction", "W by prediction")),
+        (FAILS, UNDECIDED, (UNDECIDED, "W by prediction")),
     ],
 )
 def test_one_verdict_from_two_process_noises(printed, calibrated, expected):
     """What may happen (M7) needs one condition alone."""
-    verdicts = {"as printed": printed, "W by likelihood": calibrated}
+    verdicts = {"as printed": printed, "W by prediction": calibrated}
     found = {name: Finding(1.0, 0.0, 2.0, 9, verdict) for name, verdict in verdicts.items()}
     assert statistics.combined(found) == expected
     assert (ledger.CLAIMS["M7"].rule.combined(found)[0] == HOLDS) == (HOLDS in verdicts.values())
@@ -264,13 +264,13 @@ def test_to_beat_a_rival_that_is_lost_is_named_so():
     rhe, ekf, lost = drives(0.04, False), drives(0.05, False), drives(1.3, True)
     ids = dict(rhe=rhe, rhe_smoothed=rhe, rhe_consistent=rhe, ekf_consistent=ekf)
     tables = {("printed", "runs", id_): table for id_, table in ids.items()}
-    tables |= {("likelihood", "runs", id_): table for id_, table in ids.items()}
-    tables |= {("printed", "runs", "ekf"): lost, ("likelihood", "runs", "ekf"): drives(0.03, False)}
+    tables |= {("prediction", "runs", id_): table for id_, table in ids.items()}
+    tables |= {("printed", "runs", "ekf"): lost, ("prediction", "runs", "ekf"): drives(0.03, False)}
     found = findings_of({"B5": ledger.CLAIMS["B5"]}, tables)["B5"]
     outcomes = {name: finding.verdict for name, finding in found.items()}
     # The arrival mean (G7) belongs to every claim on the RHE.
     assert outcomes["as printed"] == outcomes["smoothed arrival mean"] == statistics.LOST
-    assert outcomes[rules.LIKELIHOOD] == FAILS and outcomes["W consistent"] == HOLDS
+    assert outcomes[rules.PREDICTION] == FAILS and outcomes["W consistent"] == HOLDS
     (row,) = judged(tables, {"B5": ledger.CLAIMS["B5"]}).itertuples()
     assert (row.verdict, row.condition) == ("holds only with W consistent", "W consistent")
     assert row.n == row.other_n == 60 and not row.derived
@@ -408,14 +408,14 @@ def drawn(monkeypatch):
     return chosen
 
 
-@pytest.mark.parametrize("helped, n", [(["likelihood"], 40), ([], 80)])
+@pytest.mark.parametrize("helped, n", [(["prediction"], 40), ([], 80)])
 def test_the_last_look_is_for_claims_that_nothing_decides_before(drawn, helped, n):
-    """There is no effect with W as printed; with W by likelihood there is one, or none either."""
+    """There is no effect with W as printed; with W by prediction there is one, or none either."""
     drawn["helped"] = helped
     _, findings, _, _ = evidence.collect(B6, [20, 40, 80])
     found = findings["B6"]["as printed"]
     assert (found.verdict, found.n) == (UNDECIDED, n)
-    assert findings["B6"][rules.LIKELIHOOD].verdict == (HOLDS if helped else UNDECIDED)
+    assert findings["B6"][rules.PREDICTION].verdict == (HOLDS if helped else UNDECIDED)
     assert ("printed", "runs", "no_slip", range(20, 40)) in drawn["asked"]
 
 
@@ -433,7 +433,7 @@ def test_verdicts_are_counted_by_class():
         HOLDS,
         "holds as printed",
         "holds only as printed",
-        "holds only with W by likelihood",
+        "holds only with W by prediction",
     ]
     verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
     derived = [False] * 5 + [True, False]
@@ -530,7 +530,7 @@ def test_a_claim_is_read_as_it_is_written(tmp_path):
     assert (id_, claim.section, claim.claim) == ("X1", "Times", "It is fast")
     assert claim.rule.bound == "< 1" and list(claim.rule.by_condition) == [
         "as printed",
-        "W by likelihood",
+        "W by prediction",
     ]
     assert claim.rule.by_condition["as printed"].tables == (("printed", "runs", "ekf"),)
 
@@ -659,13 +659,13 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     steps = experiments.build_with_given_arrival()
     log = run.log[:60]
-    estimates, P = experiments.run_with_given_arrival(steps, log, "likelihood")
+    estimates, P = experiments.run_with_given_arrival(steps, log, "prediction")
     np.testing.assert_allclose(
         estimates,
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
         atol=1e-8,
     )
-    W = np.diag(np.square(tuning.SIGMA_W["rhe"]["likelihood"]))
+    W = np.diag(np.square(tuning.NOISES["rhe"]["prediction"].sigma_w))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, "likelihood", P_given=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, "prediction", P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)

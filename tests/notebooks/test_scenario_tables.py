@@ -25,12 +25,12 @@ def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_mac
     assert driven == {(w, name) for w in scenario_tables.PROCESS_NOISES for name in ("rhe", "ekf")}
     assert len(sweep) == 2 * len(driven)
     assert {name: list(of) for name, of in runs.items()} == dict.fromkeys(
-        ("printed", "likelihood"), ["RHE", "EKF"]
+        ("printed", "prediction"), ["RHE", "EKF"]
     )
-    (run,) = runs["likelihood"]["EKF"]
-    scenario = rhec.Scenario(estimator="ekf", process_noise="likelihood", **SHORT)
+    (run,) = runs["prediction"]["EKF"]
+    scenario = rhec.Scenario(estimator="ekf", process_noise="prediction", **SHORT)
     assert run.scenario == scenario
-    pair = scenario_tables.rhe_and_ekf(process_noise="likelihood", seed=0, **SHORT)
+    pair = scenario_tables.rhe_and_ekf(process_noise="prediction", seed=0, **SHORT)
     assert pair["EKF"].columns["x_m"].tolist() == run.columns["x_m"].tolist()
 
 

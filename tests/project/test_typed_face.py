@@ -16,7 +16,7 @@ from rhec.simulation.metrics import Metrics
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 Array = NDArray[Any]
-SCENARIO = rhec.Scenario(process_noise="likelihood", duration_s=2.0)
+SCENARIO = rhec.Scenario(process_noise="prediction", duration_s=2.0)
 
 
 def test_one_run_and_many() -> None:
