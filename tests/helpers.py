@@ -127,6 +127,7 @@ SIMPLE_WORLD = dict(
     rut_length_m=0.0,
     track_width_m=paper.TRACK_WIDTH_M,
     rotation_centre_m=0.0,
+    sigma_v=paper.SIGMA_V,  # the estimator assumes the noise that there is
 )
 
 

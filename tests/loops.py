@@ -98,7 +98,7 @@ def live_step(scenario):
     with no_compiler():
         mhe = rhec.RHE(
             horizon=scenario.estimation_horizon,
-            process_noise=scenario.process_noise or "printed",
+            process_noise=scenario.process_noise or "prediction",
             speed_model=scenario.speed_model,
             sensors=scenario.sensors,
             guess=tuple(setup.guess),

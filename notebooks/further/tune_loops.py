@@ -67,7 +67,7 @@ def fields_of(loop, values):
 
 
 def _first_points(loop):
-    """Logarithms of the W by prediction with R = 10, 1 and 0.1, and other unknowns in the middle."""
+    """Logarithms of W by prediction with R = 10, 1 and 0.1, and of other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
     rules = tuning.NOISES.get(kept["estimator"])
     predicting = rules["prediction"].sigma_w if rules else ()

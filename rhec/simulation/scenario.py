@@ -116,8 +116,8 @@ class Scenario:
     """Path to follow. None: rows that are joined by turns, as the next three parameters say."""
     turns: Turns = "alternate"
     """Which way the path turns at the ends of its rows (G18). "alternate": to alternate sides, as a
-    field is worked, over three rows and back; "left" and "right": always to that side, between two
-    rows; "figure_of_eight": to alternate sides, between two rows that cross."""
+    field of four rows is worked, then back along the headland; "left" and "right": always to that
+    side, between two rows; "figure_of_eight": to alternate sides, between two rows that cross."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
     """Length of each of these rows [m]."""
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M

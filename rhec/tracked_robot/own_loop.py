@@ -14,7 +14,7 @@ from rhec.core.controller import rhc
 from rhec.core.controller.options import Problem
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import with_deviations
-from rhec.tracked_robot import options
+from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
@@ -63,7 +63,7 @@ class RHE(rhe.RHE):
     Args:
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        process_noise: W by name, see Scenario.
+        process_noise: The rule that picked W and V, see Scenario.
         sigma_w: Standard deviations of the process noise; None: those of `process_noise`.
         sigma_v: Standard deviations of z; None: those of `process_noise`.
         speed_model: "parameter", "input" or "slipping", see Scenario.
@@ -86,7 +86,7 @@ class RHE(rhe.RHE):
         *,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
-        process_noise: options.ProcessNoise = "printed",
+        process_noise: options.ProcessNoise = tuning.DEFAULT_RULE,
         sigma_w: valid.NotNegatives | None = None,
         sigma_v: options.SigmaV | None = None,
         speed_model: options.SpeedModel = "parameter",

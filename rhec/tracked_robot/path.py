@@ -16,13 +16,7 @@ from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers,
 
 # Which way a path turns at the ends of its rows (interpretation G18), in the order of menus.
 Turns = Literal["alternate", "left", "right", "figure_of_eight"]
-# The sides of the turns of one lap, 1 to the left. Alternate turns lead over three rows and back.
-_SIDES: dict[str, tuple[int, ...]] = {
-    "alternate": (1, -1, -1, 1),
-    "left": (1, 1),
-    "right": (-1, -1),
-    "figure_of_eight": (1, -1),
-}
+_BESIDE = 0.25  # of a turn's radius: how far the way back of a field passes beside its turns
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
@@ -123,10 +117,10 @@ class Path:
     def rows(cls, row_length_m: Positive, radius_m: Positive, turns: Turns = "alternate") -> "Path":
         """Rows that are joined by turns; the first row runs along the x axis from the origin.
 
-        "alternate": half circles to alternate sides, as a field is worked: to the left, to the
-        right, then back over the same three rows, so that a lap has as many turns to either side.
-        "left" and "right": two rows, and half circles to one side. "figure_of_eight": two rows
-        that cross, and longer arcs to alternate sides.
+        "alternate": four rows and half circles to alternate sides, as a field is worked, to the
+        left first; then back along the headland, so that any drive has a finite field. "left" and
+        "right": two rows, and half circles to one side. "figure_of_eight": two rows that cross,
+        and longer arcs to alternate sides.
 
         Args:
             row_length_m: Length of a row [m].
@@ -232,18 +226,45 @@ def path_of(scenario):
 
 @functools.lru_cache(maxsize=16)  # the runs of a campaign share it
 def _rows(row_length_m, radius_m, turns):
-    """The path of `Path.rows`.
+    """The path of `Path.rows`."""
+    return Path.from_segments(_PIECES[turns](row_length_m, radius_m), closed=True)
 
-    Half circles turn by π. The rows of an eight cross in their middles at the angle 2φ, where
-    tan φ = 2R / L, so that its arcs turn by π + 2φ.
-    """
-    turn_rad = pi
-    if turns == "figure_of_eight":
-        turn_rad += 2 * atan2(2 * radius_m, row_length_m)
-    pieces = []
-    for side in _SIDES[turns]:
-        pieces += [(row_length_m, 0.0), (turn_rad * radius_m, side / radius_m)]
-    return Path.from_segments(pieces, closed=True)
+
+def _turn(angle_rad, radius_m, side):
+    """An arc of this angle to the left (side 1) or to the right (-1)."""
+    return angle_rad * radius_m, side / radius_m
+
+
+def _alternate(row_length_m, radius_m):
+    """Four rows, the turns between them, and the way back: no two parts of it touch."""
+    row = row_length_m, 0.0
+    left = _turn(pi, radius_m, 1)
+    right = _turn(pi, radius_m, -1)
+    corner = _turn(pi / 2, radius_m, 1)
+    beside_m = _BESIDE * radius_m
+    # The rows are 2 R apart, and the corners take R at either end of the way back.
+    back = [(beside_m, 0.0), corner, (4 * radius_m, 0.0), corner, (beside_m, 0.0)]
+    return [row, left, row, right, row, left, row, *back]
+
+
+def _one_sided(side):
+    """Two rows and half circles to one side, as a function (row_length_m, radius_m)."""
+    return lambda row_length_m, radius_m: [(row_length_m, 0.0), _turn(pi, radius_m, side)] * 2
+
+
+def _figure_of_eight(row_length_m, radius_m):
+    """Two rows that cross in their middles at the angle 2φ, tan φ = 2R / L; arcs turn by π + 2φ."""
+    row = row_length_m, 0.0
+    angle_rad = pi + 2 * atan2(2 * radius_m, row_length_m)
+    return [row, _turn(angle_rad, radius_m, 1), row, _turn(angle_rad, radius_m, -1)]
+
+
+_PIECES = {
+    "alternate": _alternate,
+    "left": _one_sided(1),
+    "right": _one_sided(-1),
+    "figure_of_eight": _figure_of_eight,
+}
 
 
 def _on_line(ahead, left, length):

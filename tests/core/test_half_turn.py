@@ -19,7 +19,7 @@ def followed(turned_rad, process_noise="printed", seed=0, spoil=None):
     if spoil:
         spoil(z)
     guess = (0.0, 0.0, 0.3 + turned_rad, 0.5, 1.0, 1.0)
-    rhe = rhec.RHE(guess=guess, process_noise=process_noise)
+    rhe = rhec.RHE(guess=guess, process_noise=process_noise, sigma_v=paper.SIGMA_V)
     estimates, ok = [], []
     for row in z:
         rhe.prepare()

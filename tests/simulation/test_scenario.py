@@ -234,14 +234,15 @@ def sigma_v_and_w(**fields):
     return tuple(tuple(np.sqrt(settings[name]).round(12)) for name in "VW")
 
 
-def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
+def test_by_default_one_rule_picks_the_noise_of_both():
     printed = {
         name: sigma_v_and_w(estimator=name, process_noise="printed") for name in ("rhe", "ekf")
     }
-    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE) == sigma_v_and_w()
+    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE)
     assert printed["ekf"] == (paper.SIGMA_V, paper.SIGMA_W_EKF)
-    likeliest = sigma_v_and_w(estimator="ekf", process_noise="prediction")
-    assert likeliest == sigma_v_and_w(estimator="ekf") != printed["ekf"]
+    for name in ("rhe", "ekf"):
+        predicting = sigma_v_and_w(estimator=name, process_noise="prediction")
+        assert predicting == sigma_v_and_w(estimator=name) != printed[name]
     # Another estimator brings its own default.
     scenario = dataclasses.replace(rhec.Scenario(), estimator="ekf")
     assert scenario == rhec.Scenario(estimator="ekf")
