@@ -71,14 +71,12 @@ def build_with_given_arrival():
     return runner.build_recorded(step, ["estimate", "arrival_covariance"])
 
 
-def run_with_given_arrival(functions, log, process_noise, P_given=None, sigma_w=None):
+def run_with_given_arrival(functions, log, scenario, P_given=None):
     """Estimates (n, 6) and arrival covariances (n, 6, 6) of the RHE over a log's measurements.
 
     `functions` is the scan of `build_with_given_arrival`. The arrival cost has the covariance
-    P_given (6, 6) at all times, or the RHE's own; W has the standard deviations sigma_w (6,), or
-    those of the process noise.
+    P_given (6, 6) at all times, or the RHE's own; W and V are those of the Scenario.
     """
-    scenario = Scenario(process_noise=process_noise, sigma_w=sigma_w)
     settings = paper_rhe.ESTIMATORS["rhe"].settings(scenario) | dict(
         P_given=np.eye(6) if P_given is None else P_given, constant=float(P_given is not None)
     )
@@ -114,17 +112,19 @@ def _arrival_cost(process_noise, log):
     """
     steps = compiled.load(build_with_given_arrival)
     sigma = np.array(tuning.NOISES["rhe"][process_noise].sigma_w)
-    estimates, P = run_with_given_arrival(steps, log, process_noise)
+    scenario = Scenario(process_noise=process_noise)
+    estimates, P = run_with_given_arrival(steps, log, scenario)
     # W^-1/2 (P - W) W^-1/2: the states have different units, and W makes them comparable.
     half = 1 / np.sqrt(sigma**2)
     row = dict(least=np.linalg.eigvalsh(half[:, None] * (P - np.diag(sigma**2)) * half).min())
     row |= dict(grown_with_w=_growth(P))
-    _, P_without_w = run_with_given_arrival(steps, log, process_noise, sigma_w=(0.0,) * 6)
+    without_w = Scenario(process_noise=process_noise, sigma_w=(0.0,) * 6)
+    _, P_without_w = run_with_given_arrival(steps, log, without_w)
     row |= dict(grown_without_w=_growth(P_without_w))
     typical = P[paper.HORIZON + 1 :].mean(axis=0)  # from the first full window on
     for name, factor in {"adaptive": None, "heavy": 1e-2, "light": 1e2, "none": 1e8}.items():
         if factor is not None:
-            estimates, _ = run_with_given_arrival(steps, log, process_noise, factor * typical)
+            estimates, _ = run_with_given_arrival(steps, log, scenario, factor * typical)
         error = estimates[:, 5] - log["kappa"].to_numpy()
         yaw = estimates[:, 2] - log["theta_rad"].to_numpy()
         row[f"step_{name}"] = rms(np.diff(estimates[:, 5]))

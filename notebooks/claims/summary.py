@@ -131,8 +131,9 @@ def changes(table, claims):
         DataFrame of texts: id, the paper's sentence, verdict before and now, and the reason, which
         is the change of the rule, if there is one, and the conditions that say otherwise.
     """
-    before = pd.read_csv(_BEFORE).fillna("").set_index("id")
-    now = table.fillna("").set_index("id")
+    texts = ["id", "claim", "verdict", "conditions"]
+    before = pd.read_csv(_BEFORE)[texts].fillna("").set_index("id")
+    now = table[texts].fillna("").set_index("id")
     rows = []
     for id_ in [*now.index, *before.index.difference(now.index)]:
         old, new = (part.loc[id_] if id_ in part.index else None for part in (before, now))

@@ -548,7 +548,8 @@ def sentences(folder=RESULTS):
         DataFrame of texts.
     """
     claims = pd.read_csv(folder / "claims.csv").set_index("id")
-    shown = claims[claims.index.isin(_SENTENCES)].fillna("")
+    texts = claims[["claim", "verdict", "conditions"]]
+    shown = texts[claims.index.isin(_SENTENCES)].fillna("")
     return pd.DataFrame(
         {
             "id": shown.index,

@@ -143,7 +143,7 @@ def test_what_is_near_a_number_is_a_tenth_or_what_the_claim_says():
         (11 + 3 * NORMAL, ERRORS, UNDECIDED, statistics.POSSIBLE),  # may well be met
         (15 + 3 * NORMAL, ERRORS, UNDECIDED, statistics.NOT_MET),  # at the edge of single drives
         (10 + ONE_IN_TEN, ERRORS + 0.1, statistics.LOST_ITSELF, statistics.LOST_ITSELF),
-        (10 + ONE_IN_TEN, 0.13 + NORMAL, UNDECIDED, statistics.LOST_ITSELF),
+        (10 + ONE_IN_TEN, 0.13 + NORMAL - NORMAL.mean(), UNDECIDED, statistics.LOST_ITSELF),
     ],
 )
 def test_an_early_look_leaves_open_what_more_drives_may_change(values, errors, early, last):
@@ -364,9 +364,12 @@ def orders():
     errors_m = dict(printed=1.3, consistent=0.05, prediction=0.03, tracking=0.04)
     tables = {}
     for noise, ekf_m in errors_m.items():
+        # By tracking the EKF is as often the better as the worse.
+        either = 0.001 * (-1.0) ** np.arange(60) if noise == "tracking" else 0.0
         for id_ in ("rhe", "rhe_smoothed", "rhe_left", "ekf", "ekf_left"):
-            error_m = ekf_m if "ekf" in id_ else 0.04
-            columns = dict(mean_error_m=error_m + 0.001 * rng.normal(size=60))
+            error_m = ekf_m + either if "ekf" in id_ else 0.04
+            scatter_m = 0.0 if noise == "tracking" else 0.001 * rng.normal(size=60)
+            columns = dict(mean_error_m=error_m + scatter_m + np.zeros(60))
             tables[noise, "runs", id_] = pd.DataFrame(
                 columns | dict(mean_error_from_start_m=error_m)
             )
@@ -580,11 +583,11 @@ def test_verdicts_are_counted_by_class():
         "holds only as printed",
         "holds only with W by prediction",
     ]
-    verdicts += ["holds with ν as input", FAILS, UNTESTABLE]
-    derived = [False] * 5 + [True, False]
+    verdicts += ["holds with ν as input", statistics.POSSIBLE, FAILS, UNTESTABLE]
+    derived = [False] * 6 + [True, False]
     counts = summary.verdict_counts(pd.DataFrame(dict(verdict=verdicts, derived=derived)))
-    assert counts["claims"].tolist() == [1, 2, 2, 1, 0, 0, 1]
-    assert counts["by derivation"].tolist() == [0, 0, 0, 1, 0, 0, 0]
+    assert counts["claims"].tolist() == [1, 2, 2, 1, 1, 0, 0, 1]
+    assert counts["by derivation"].tolist() == [0, 0, 0, 0, 1, 0, 0, 0]
     assert list(counts.index)[1:3] == [summary.PRINTED, summary.DEPARTURE]
 
 
@@ -653,7 +656,8 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys):
     assert [line.split()[0] for line in lines] == [*ledger.CLAIMS]
     verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, ledger.CLAIMS.items()):
-        assert claim.claim in line and line.endswith(f"  {verdicts[id_]}")
+        assert claim.claim in line
+        assert line.endswith(f"  {verdicts.get(id_, 'not judged yet')}")
 
 
 def test_a_claim_that_the_ledger_does_not_have_yet_is_listed_as_such(capsys, monkeypatch):
@@ -899,7 +903,7 @@ def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virt
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     steps = experiments.build_with_given_arrival()
     log = run.log[:60]
-    estimates, P = experiments.run_with_given_arrival(steps, log, "prediction")
+    estimates, P = experiments.run_with_given_arrival(steps, log, run.scenario)
     np.testing.assert_allclose(
         estimates,
         log[["x_hat_m", "y_hat_m", "theta_hat_rad", "nu_hat_mps", "mu_hat", "kappa_hat"]],
@@ -907,5 +911,5 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     )
     W = np.diag(np.square(tuning.NOISES["rhe"]["prediction"].sigma_w))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, "prediction", P_given=np.eye(6))
+    _, constant = experiments.run_with_given_arrival(steps, log, run.scenario, P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
