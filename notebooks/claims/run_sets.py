@@ -38,14 +38,17 @@ _ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
 
 
 def _traction_noise_times(factor):
-    """The RHE's W with the standard deviations of μ and κ times `factor`."""
+    """The RHE's W, a world's own if it has one, with the deviations of μ and κ times `factor`."""
     factors = (1, 1, 1, 1, factor, factor)
-    return lambda process_noise: tuple(
-        np.multiply(factors, tuning.NOISES["rhe"][process_noise].sigma_w).tolist()
-    )
+
+    def of(process_noise, world):
+        sigma_w = world.get("sigma_w") or tuning.NOISES["rhe"][process_noise].sigma_w
+        return tuple(np.multiply(factors, sigma_w).tolist())
+
+    return of
 
 
-def _dead_reckoning(process_noise):
+def _dead_reckoning(process_noise, world):
     """An estimator (memory, z) -> (memory, estimate) that does not estimate the yaw.
 
     The yaw is the sum of the encoders' yaw rates since the start. Position and speed are as
@@ -66,7 +69,7 @@ def _like_rhe(estimator):
     """
 
     def noise(name, entries):
-        def of(process_noise):
+        def of(process_noise, world):
             if process_noise in tuning.NOISES[estimator]:
                 return None
             return getattr(tuning.NOISES["rhe"][process_noise], name)[:entries]
@@ -76,7 +79,7 @@ def _like_rhe(estimator):
     entries = len(tuning.NOISES[estimator]["printed"].sigma_w)
     return dict(
         estimator=estimator,
-        process_noise=lambda rule: rule if rule in tuning.NOISES[estimator] else None,
+        process_noise=lambda rule, world: rule if rule in tuning.NOISES[estimator] else None,
         sigma_w=noise("sigma_w", entries),
         sigma_v=noise("sigma_v", len(paper.SIGMA_V)),
     )
@@ -86,8 +89,8 @@ _LEFT = dict(turns="left")
 _FROM_THE_OTHER_SIDE = dict(start_offset_m=-paper.START_OFFSET_M)
 _SMOOTHED = dict(arrival_mean="smoothed")
 
-# id: fields of Scenario; a field may be a function of the process noise, the controller is one of
-# the Scenario
+# id: fields of Scenario; a field may be a function of the process noise and the world, the
+# controller is one of the Scenario
 RUNS = {
     "rhe": dict(),
     "rhe_smoothed": _SMOOTHED,
@@ -152,10 +155,10 @@ _FIELDS = "duration_s mu_deviation kappa_deviation".split()  # of Scenario, colu
 # Runs
 
 
-def fields_of(fields, process_noise):
-    """Fields of RUNS or LOGS but for a controller, under a process noise, which some depend on."""
+def fields_of(fields, process_noise, world):
+    """Fields of RUNS or LOGS but for a controller, under a process noise in a world."""
     return {
-        name: of(process_noise) if callable(of) else of
+        name: of(process_noise, world) if callable(of) else of
         for name, of in fields.items()
         if name != "controller"
     }
@@ -170,7 +173,8 @@ def scenarios(fields, process_noise, seeds, world=None):
         seeds: Seeds of the fields.
         world: Fields of Scenario.
     """
-    every = (world or {}) | dict(process_noise=process_noise) | fields_of(fields, process_noise)
+    world = world or {}
+    every = world | dict(process_noise=process_noise) | fields_of(fields, process_noise, world)
     made = [Scenario(seed=seed, **every) for seed in seeds]
     if "controller" not in fields:
         return made

@@ -49,10 +49,9 @@ def _usable(world):
 def _noise(world, estimator):
     """The fields of Scenario that give an estimator the W that it has in a world."""
     w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "prediction")
-    noise = dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
-    of_estimator = tuning.NOISES.get(estimator, {})
-    named = noise["process_noise"] in of_estimator or "sigma_w" in noise
-    return noise if named else dict(process_noise="prediction")
+    if estimator in ("rhe", "ekf"):
+        return dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
+    return dict(process_noise=w if w in tuning.NOISES.get(estimator, {}) else "prediction")
 
 
 def _drive_s(fields, on_row):
@@ -75,7 +74,7 @@ def _scenarios(table, world, seeds, whole):
     on_row = id_ in run_sets.ON_ROW
     duration_s = fields.pop("duration_s", None)
     if duration_s is None or on_row or not whole:
-        duration_s = _drive_s(fields | run_sets.fields_of(of_id, process_noise), on_row)
+        duration_s = _drive_s(fields | run_sets.fields_of(of_id, process_noise, noise), on_row)
     of_id = {name: value for name, value in of_id.items() if name != "duration_s"}
     world = fields | noise | dict(duration_s=duration_s)
     return run_sets.scenarios(of_id, process_noise, seeds, world)

@@ -913,3 +913,18 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
     _, constant = experiments.run_with_given_arrival(steps, log, run.scenario, P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("w", ["prediction", "free", "fitted", "printed"])
+def test_a_rival_has_a_w_of_its_own_in_a_world_whose_rhe_has_another(w):
+    noise = worlds._noise(dict(w_rhe=w, sigma_rhe_m=0.1), "rhe_no_slip")
+    assert noise == dict(process_noise=w if w in ("prediction", "printed") else "prediction")
+
+
+def test_a_tenth_of_w_is_a_tenth_of_the_worlds_own():
+    own = (0.01, 0.01, 0.02, 0.05, 0.03, 0.04)
+    fields = run_sets.LOGS["rhe_small_w"]
+    (scenario,) = run_sets.scenarios(fields, None, [0], dict(sigma_w=own))
+    assert scenario.sigma_w == pytest.approx((*own[:4], 0.003, 0.004))
+    (scenario,) = run_sets.scenarios(fields, "printed", [0])
+    assert scenario.sigma_w == pytest.approx((*paper.SIGMA_W_RHE[:4], 0.025, 0.025))
