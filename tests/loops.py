@@ -34,8 +34,8 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
-# Who is told the truth, and who tells the controller of a drift, is not exported.
-NO_C = "oracle", "traction_oracle", "drift_oracle", "yaw_drift_ekf"
+# Who is told the truth is not exported.
+NO_C = "oracle", "traction_oracle", "drift_oracle"
 GAP = rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0)
 OFF = rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0)
 NO_GYRO = rhec.Fault(kind="missing", channel="gyro", start_s=8.0, duration_s=3.0)
@@ -64,6 +64,16 @@ LOOPS |= {
         dict(speed_model="slipping", process_noise="consistent", sensors=("gyro",))
     ),
     "side slip": Loop(dict(side_slip_rad=0.3, sensors=("gyro",))),
+    "yaw drift": Loop(dict(yaw_drift=True, process_noise="printed", slip_difference=-0.1)),
+    "yaw drift with a gyro": Loop(
+        dict(
+            yaw_drift=True,
+            process_noise="consistent",
+            speed_model="input",
+            sensors=("gyro",),
+            faults=(NO_GYRO, OFF),
+        )
+    ),
     "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
     "everything else": Loop(EVERYTHING_ELSE, ("live",)),
     "own": Loop(dict(estimator=own_estimator()), ("live",)),
@@ -101,6 +111,7 @@ def live_step(scenario):
             process_noise=scenario.process_noise or "prediction",
             speed_model=scenario.speed_model,
             sensors=scenario.sensors,
+            yaw_drift=scenario.yaw_drift,
             guess=tuple(setup.guess),
         )
         weights = dict(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
@@ -116,8 +127,10 @@ def live_step(scenario):
         mpc.prepare()
         estimate = mhe.feedback(z)
         # The yaw rate of the last command stands in for one that was not measured.
-        references = tracker.references(estimate, z[3] if abs(z[3]) <= fastest else command)
-        command = mpc.feedback(estimate.pose, estimate.p, *references)
+        omega = z[3] if abs(z[3]) <= fastest else command
+        d = mpc.disturbance(estimate)
+        references = tracker.references(estimate, omega + d)
+        command = mpc.feedback(estimate.pose, estimate.p, *references, disturbance=d)
         return [*estimate[:6], command, mhe.kkt, mpc.kkt]
 
     return step

@@ -226,8 +226,10 @@ def _on_the_map(figure, axes, runs):
     parts.note(axes, "start", start, (-5, 0), ha="right")
     low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
     high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
-    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))
-    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **_TRACTION_BAR)
+    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m))
+    axes.set_title(_title(first))
+    beside = dict(location="left", panchor=(0.0, 0.5), extend="min", fraction=0.03, pad=0.02)
+    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **beside)
 
 
 def _beside_the_path(axes, runs):
@@ -279,7 +281,7 @@ def _end_of_lap(axes, run):
     if 0 < left_m < run.path.length_m / 2:
         words += f", {left_m:.0f} m of the lap left"
     line = dict(arrowstyle="-", linewidth=0.5, shrinkA=0)
-    parts.note(axes, words, (end["x_m"], end["y_m"]), (8, 18), ha="left", arrowprops=line)
+    parts.note(axes, words, (end["x_m"], end["y_m"]), (10, -14), ha="left", arrowprops=line)
 
 
 @styled

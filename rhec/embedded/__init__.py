@@ -174,8 +174,6 @@ def _obstacle(estimator):
     described = estimator_of(estimator)
     if described.traction_input not in _EXPORTED:
         return f"which needs the {described.traction_input.value}"
-    if described.has_yaw_drift:
-        return "whose yaw drift the exported controller does not cancel"
     return ""
 
 

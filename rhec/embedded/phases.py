@@ -23,7 +23,7 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.core.solver.rti import IMPROVE
 from rhec.simulation import closed_loop
-from rhec.tracked_robot import path
+from rhec.tracked_robot import path, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
@@ -42,6 +42,8 @@ _SHARED = dict(
     covariance="estimator.covariance",
     estimate="estimate",
     command="omega",
+    yaw_drift="estimator.yaw_drift",
+    disturbance="path.disturbance",
     s_next="path.s_next",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
@@ -87,6 +89,7 @@ def export(scenario):
     # An EKF receives the same traction as in the closed loop.
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
+    del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
     horizon = horizon_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
 
@@ -95,10 +98,13 @@ def export(scenario):
     else:
         estimate = _split_step(estimator.build_step(choice))
     control = build_controller(horizon)
+    has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
+    if has_yaw_drift:
+        control = control | dict(feedback=_with_moved_bounds(control["feedback"]))
     references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
-    follow = _build_follow(references, reports_accepted, n_z)
+    follow = _build_follow(references, reports_accepted, n_z, has_yaw_drift)
     path_phases = dict(closest=closest(n_segments), follow=follow)
 
     def first_estimate(estimate):
@@ -120,6 +126,8 @@ def export(scenario):
     has_gate = "rejected" in estimate["shift"].name_in()
     most = patience(choice.estimation_horizon) if has_gate else 0
     macros = _macros_on_a_path(scenario, horizon.dt_s, most)
+    if has_yaw_drift:
+        macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
     return _export(phases, settings, setup.guess, macros)
 
 
@@ -322,28 +330,49 @@ def _place_on_segment(dx, dy, theta, curvature):
     return ca.if_else(curvature == 0, along, arc)
 
 
-def _build_follow(references, reports_accepted, n_z):
+def _with_moved_bounds(feedback):
+    """The controller's feedback phase with the input `disturbance`, by which its bounds move."""
+    move = yaw_disturbance.moved_bounds()
+    shapes = {name: feedback.sparsity_in(name) for name in feedback.name_in()}
+
+    @casadi_function("rhc_feedback_moved", ca.MX, **shapes, disturbance=(1, 1))
+    def moved(lower, upper, disturbance, **inputs):
+        return feedback(**inputs, **move(lower=lower, upper=upper, disturbance=disturbance))
+
+    return moved
+
+
+def _build_follow(references, reports_accepted, n_z, has_yaw_drift):
     """Return the Function of the references, starting at the last arc length.
 
     The reference yaw rate is the measured one or, if that is missing or rejected, the last command.
     reports_accepted: Whether the estimator reports which measurements it accepted.
     n_z: Length of a measurement.
+    has_yaw_drift: Whether the estimator has the yaw drift, whose disturbance counts in then.
     """
     shapes = {name: references.size_in(name) for name in references.name_in()}
     del shapes["omega_measured"]
     shapes |= dict(z_N=(n_z, 1), command=(1, 1))
     if reports_accepted:
         shapes["accepted"] = (len(MEASURED), 1)
+    if has_yaw_drift:
+        shapes |= dict(yaw_drift=(1, 1), upper=(1, 1))
+    counted_in = yaw_disturbance.counted_in()
     omega = MEASURED.index("omega")
     limit = SPEED_MODELS["parameter"].model.limits[omega]
 
     @casadi_function("rhec_follow", ca.MX, **shapes)
-    def follow(z_N, command, accepted=None, **inputs):
+    def follow(z_N, command, accepted=None, yaw_drift=None, upper=None, **inputs):
         is_used = is_valid_measurement(z_N[omega], limit)
         if reports_accepted:
             is_used = accepted[omega]
         omega_measured = ca.if_else(is_used, z_N[omega], command)
+        disturbance = {}
+        if has_yaw_drift:
+            given = dict(estimate=inputs["estimate"], yaw_drift=yaw_drift, upper=upper)
+            disturbance = counted_in(**given, omega_measured=omega_measured)
+            omega_measured = disturbance.pop("omega_measured")
         target = references(**inputs, omega_measured=omega_measured)
-        return dict(s_next=target.pop("s")) | target
+        return dict(s_next=target.pop("s")) | target | disturbance
 
     return follow

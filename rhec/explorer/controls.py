@@ -217,7 +217,9 @@ def scenario_of(values, estimator, start):
         else:
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
-    settings["sensors"] = settings["sensors"] if estimator == "rhe" else ()
+    is_rhe = estimator == "rhe"
+    settings["sensors"] = settings["sensors"] if is_rhe else ()
+    settings["yaw_drift"] &= is_rhe and settings["speed_model"] != "slipping"
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     if settings["process_noise"] == "custom":
@@ -237,7 +239,8 @@ def scenario_of(values, estimator, start):
 def _sigma_w_for_estimator(settings):
     """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
     estimator = estimator_of(settings["estimator"])
-    choice = Choice(*(settings[name] for name in Choice._fields[:4]))
+    shape = (settings[name] for name in Choice._fields[:4])
+    choice = Choice(*shape, yaw_drift=settings["yaw_drift"])
     n = estimator.n_sigma_w(choice)
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))

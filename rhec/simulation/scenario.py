@@ -20,6 +20,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
 from rhec.tracked_robot.path import Path, Turns, path_of
+from rhec.tracked_robot.sensors import refuse_drift_with
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 if TYPE_CHECKING:
@@ -66,6 +67,10 @@ class Scenario:
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (G7)."""
+    yaw_drift: valid.Flag = False
+    """Whether the RHE also estimates the yaw drift δ of soil that turns the robot without a yaw
+    rate of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the
+    speed models "parameter" and "input"."""
     yaw_rate_interval: Literal["before", "after"] = "before"
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
@@ -263,11 +268,16 @@ def _check_deviation(scenario, name):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
+    """Refuse `sensors`, `yaw_drift`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
     if scenario.sensors and estimator != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
+    if scenario.yaw_drift and estimator != "rhe":
+        expected = f"for the estimator {valid.shown(estimator)} it should be False"
+        raise ValueError(f"yaw_drift was True; {expected}")
+    if scenario.yaw_drift:
+        refuse_drift_with(scenario.speed_model)
     for fault in scenario.faults:
         if fault.channel in SENSOR_CHANNELS and fault.channel not in scenario.sensors:
             raise ValueError(

@@ -42,12 +42,18 @@ class Noise(NamedTuple):
     sigma_v: tuple
 
 
+# Walk of the yaw drift beside the paper's W [rad/m a sample].
+_YAW_DRIFT_WALK = 0.002
+
+
 def _printed():
     """The paper's noises: those of the RHE for every estimator that has as many states."""
     of_rhe = Noise(paper.SIGMA_W_RHE, paper.SIGMA_V)
     without_traction = Noise(paper.SIGMA_W_RHE[:4], paper.SIGMA_V)
     return {
         "rhe": of_rhe,
+        # The yaw drift is not in the paper.
+        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, _YAW_DRIFT_WALK), of_rhe.sigma_v),
         "rhe_fixed_traction": without_traction,
         "rhe_no_slip": without_traction,
         "ekf": Noise(paper.SIGMA_W_EKF, paper.SIGMA_V),
@@ -113,9 +119,14 @@ def noise_of(estimator, scenario):
     return NOISES.get(estimator, NOISES["rhe"])[process_noise_of(scenario)]
 
 
+def name_of_noise(scenario):
+    """Name in NOISES of a Scenario's estimator: an RHE with the yaw drift has noises of its own."""
+    return "rhe_yaw_drift" if scenario.yaw_drift else scenario.estimator
+
+
 def sigma_v_of(scenario):
     """Standard deviations of the measurements that a Scenario's estimator assumes."""
-    return scenario.sigma_v or noise_of(scenario.estimator, scenario).sigma_v
+    return scenario.sigma_v or noise_of(name_of_noise(scenario), scenario).sigma_v
 
 
 def sigma_of_sensors(sensors, sigma_gyro, sigma_heading):

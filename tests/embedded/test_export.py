@@ -423,7 +423,7 @@ def solving_estimator():
             rhec.Scenario(estimator="oracle"),
             "^estimator was 'oracle', which needs the truth; to export, it should be one of "
             "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
-            "'fixed_traction' or a CasADi Function$",
+            "'fixed_traction', 'yaw_drift_ekf' or a CasADi Function$",
         ),
         (
             rhec.Scenario(estimator="traction_oracle"),
@@ -433,10 +433,6 @@ def solving_estimator():
             rhec.Scenario(estimator=solving_estimator()),
             "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should consist of "
             "expressions$",
-        ),
-        (
-            rhec.Scenario(estimator="yaw_drift_ekf"),
-            "^estimator was 'yaw_drift_ekf', whose yaw drift the exported controller does not",
         ),
         (
             rhec.Scenario(controller=own_controller(rhec.Scenario())),

@@ -146,7 +146,7 @@ def controller(scenario, caution=0.25):
     path = path_of(scenario)
     structure = (
         estimator_of(choice.estimator).states(choice),
-        estimator_of(choice.estimator).has_yaw_drift,
+        estimator_of(choice.estimator).has_yaw_drift(choice),
         scenario.prediction_horizon,
         scenario.traction_timing,
         len(path.segments),
