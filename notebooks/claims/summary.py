@@ -141,7 +141,7 @@ def changes(table, claims):
         if words[0].replace(_OLD_RULE, _NEW_RULE) == words[1]:
             continue
         sentence = (old if new is None else new)["claim"]
-        reason = _reason(old, new, claims.get(id_))
+        reason = _reason(old, new, claims.get(id_)) if new is not None else _gone(id_, claims)
         rows.append({"id": id_, "the paper": sentence, "before": words[0], "now": words[1]})
         rows[-1]["reason"] = reason
     return pd.DataFrame(rows, columns=["id", "the paper", "before", "now", "reason"])
@@ -150,10 +150,14 @@ def changes(table, claims):
 _NONE = "–"
 
 
+def _gone(id_, claims):
+    """Why a claim is no more: what the claim that mentions it says of its own rule."""
+    heirs = {heir: claim.mended for heir, claim in claims.items() if id_ in claim.mended.split()}
+    return "; ".join(f"{heir}: {mended}" for heir, mended in heirs.items()) or "It is left out."
+
+
 def _reason(old, new, claim):
     """Why a verdict changed: the change of the rule, then the conditions that say otherwise."""
-    if new is None:
-        return "It is judged as a part of another claim now, or no more."
     parts = [claim.mended if claim and claim.mended else _SAME_RULE]
     if old is None:
         return parts[0]

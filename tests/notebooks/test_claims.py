@@ -697,6 +697,10 @@ A4,Gone,holds,holds
     assert found.loc["A3", "reason"] == "It was wrong. in all cases: holds → does not hold."
     assert list(found.loc["A5", ["before", "now"]]) == ["–", HOLDS]
     assert list(found.loc["A4", ["before", "now"]]) == [HOLDS, "–"]
+    assert found.loc["A4", "reason"] == "It is left out."
+    claims["A5"] = claim._replace(mended="It has A4 in it.")
+    found = summary.changes(table, claims).set_index("id")
+    assert found.loc["A4", "reason"] == "A5: It has A4 in it."
 
 
 # The file of claims
