@@ -139,7 +139,7 @@ def test_each_word_on_a_number_is_reached(error, single, word):
 def test_never_is_judged_by_the_share_of_drives_without_a_violation(clean, word):
     table = scenario_b(AS_IN_THE_PAPER, clean)
     assert answer._Numbers(table).never("printed") == word
-    assert f"as printed {word} ({100 * clean:.0f} % of the drives have none)" in (
+    assert f"Drives without a violation: RHE: as printed {100 * clean:.0f} %" in (
         answer.scenario_b_in_words(table)
     )
 
@@ -150,7 +150,8 @@ def folder(tmp_path):
     errors = AS_IN_THE_PAPER | dict(printed=(0.0423, 1.3), consistent=(0.0423, 0.06))
     scenario_b(errors).to_csv(tmp_path / "table_scenario_b.csv", index=False)
     conditions = "as printed: holds; W by prediction: does not hold"
-    claims = dict(id=["B6"], verdict=["holds only as printed"], conditions=[conditions])
+    claims = dict(id=["B6", "B7"], verdict="holds only as printed", conditions=conditions)
+    claims |= dict(claim="A sentence", value=0.5, low=0.4, high=0.6, unit="m")
     pd.DataFrame(claims | dict(derived=False)).to_csv(tmp_path / "claims.csv", index=False)
     return tmp_path
 
@@ -177,11 +178,14 @@ def test_the_first_table_has_a_verdict_in_each_cell_and_the_printed_w_first(fold
     order = [*table.loc["RHE − EKF [mm]; share of fields with less"]]
     assert order[:3] == ["−9.1", "EKF lost", "holds: −17.7; 100 %"]
     assert [*words.loc["EKF: violations in a drive"]] == [LOST_ITSELF, MET, MET, MET]
+    # "Never" has the ledger's verdict, which leaves out drives in which the oracle fails.
+    never = [*table.loc["RHE: drives without a violation"]]
+    assert never == ["all", "holds: 50 %", "50 %", "does not hold: 50 %", "50 %"]
     benefits = [*table.loc["The RHE benefits from its traction estimates"]]
     assert benefits == ["yes", HOLDS, "–", FAILS, "–"]
     possible = [*table.loc["Possible worlds where the RHE's error is less"]]
     assert possible == ["–", "EKF lost", "–", "92 % [87, 95]", "–"]
-    assert set(words.to_numpy().ravel()) <= {*answer.VERDICTS, "–", "92 % [87, 95]"}
+    assert set(words.to_numpy().ravel()) <= {*answer.VERDICTS, "–", "50 %", "92 % [87, 95]"}
 
 
 def test_without_worlds_their_row_is_empty(folder):
@@ -201,14 +205,31 @@ def test_the_numbers_of_every_pattern_of_turns_are_told(folder):
 
 
 @pytest.mark.parametrize("verdict", [HOLDS, FAILS, UNDECIDED])
-def test_the_weights_are_told_in_the_papers_words(verdict):
+def test_the_weights_are_told_by_their_table(verdict):
     rows = [(name, "mean error, true [m]", 0.03, "") for name in ("Q1", "Q2", "Q3")]
     rows += [("Q1 / Q3", "settling time, ratio", 6.0, verdict)]
     rows += [("Q2 / Q3", "overshoot, ratio", 1.9, "undecided")]
     table = pd.DataFrame(rows, columns=["weight", "quantity", "mean", "verdict"]).assign(n=20)
     said = answer.scenario_a_in_words(table)
-    assert f"with Q¹: {verdict}. It takes 6.00 times" in said
-    assert "“Oscillates" in said and "best" not in said
+    assert "6.00 times as long as Q³ to settle (20 fields)" in said
+    assert f"that it is at least twice as long {verdict}." in said
+    assert "best" not in said
+
+
+@pytest.mark.parametrize("verdict", [HOLDS, FAILS, UNDECIDED])
+def test_the_papers_words_on_the_weights_have_the_ledgers_verdicts(folder, verdict):
+    """It says "oscillates" and "extremely important", and of no weight that it is the best."""
+    claims = pd.read_csv(folder / "claims.csv")
+    row = dict(
+        id="A2", claim="With Q² it oscillates", verdict=verdict, conditions="", derived=False
+    )
+    row |= dict(value=0.4, low=0.3, high=0.5, unit="share of fields")
+    pd.concat([claims, pd.DataFrame([row])]).to_csv(folder / "claims.csv", index=False)
+    *_, last = answer.in_words(folder).splitlines()
+    assert (
+        last
+        == f"- **With Q² it oscillates** (A2): {verdict}; 0.400 [0.300, 0.500] share of fields."
+    )
 
 
 def test_the_bar_counts_every_claim_once_and_in_words(tmp_path):
