@@ -438,7 +438,7 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
 @pytest.fixture
 def errors(monkeypatch):
     """Runs whose true mean error is drawn: the RHE's, less an advantage that the test sets."""
-    chosen = dict(advantage=0.0, asked=[])
+    chosen = dict(advantage=0.0, asked=[], raw_m=0.05)  # by raw GNSS nobody is lost
 
     def measure(scenarios, folder=None):
         def error(scenario):
@@ -447,11 +447,13 @@ def errors(monkeypatch):
 
         scenarios = scenarios["runs"]
         chosen["asked"].append({each.seed for part in scenarios.values() for each in part})
-        return {
-            name: pd.DataFrame(dict(mean_error_true_m=[error(each) for each in part]))
-            + 0.1 * np.random.default_rng(len(str(name))).normal(size=(len(part), 1))
-            for name, part in scenarios.items()
-        }
+
+        def table(name, part):
+            scatter = 0.1 * np.random.default_rng(len(str(name))).normal(size=len(part))
+            errors = [error(each) for each in part] + scatter
+            return pd.DataFrame(dict(mean_error_true_m=errors, mean_error_m=chosen["raw_m"]))
+
+        return {name: table(name, part) for name, part in scenarios.items()}
 
     monkeypatch.setattr(run_sets, "measure", measure)
     return chosen
@@ -549,7 +551,10 @@ def drawn(monkeypatch):
         chosen["asked"] += [(*table, seeds) for table in tables]
         names = "mean_error_true_m large_r small_r".split()
         return {
-            table: pd.DataFrame(dict.fromkeys(names, error_m(table, seeds))) for table in tables
+            table: pd.DataFrame(dict.fromkeys(names, error_m(table, seeds))).assign(
+                mean_error_m=0.05
+            )
+            for table in tables
         }
 
     monkeypatch.setattr(evidence, "make", make)
@@ -620,6 +625,8 @@ def test_a_claim_in_worlds_follows_the_runs(errors):
     errors["advantage"] = -0.5
     assert worlds.judge(B6, drawn[:1], 4)["B6"].tolist() == [FAILS]
     assert worlds.shares(B6, drawn, 4)["B6"].value == 0
+    errors.update(advantage=0.5, raw_m=0.2)
+    assert worlds.judge(B6, drawn[:1], 4)["B6"].tolist() == [statistics.LOST]
 
 
 def test_the_ledger_has_the_shares_of_worlds(made_up):
