@@ -220,7 +220,7 @@ def _distances_from_converged(scenario, problems, commands):
     # Two controllers, since each starts from its previous plan.
     exact = rhec.RHC(q=scenario.q, r=scenario.r)
     unprepared = rhec.RHC(q=scenario.q, r=scenario.r)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    stages = paper_rhc.stages_of(scenario.prediction_horizon)
     guess = set_up(scenario).guess
     cold = []
     converged = []
@@ -228,7 +228,7 @@ def _distances_from_converged(scenario, problems, commands):
     for problem in problems:
         exact.prepare()
         converged.append(exact.solve(*problem))
-        unprepared.iteration.start(rhc.init(horizon, *previous))
+        unprepared.iteration.start(rhc.init(stages, *previous))
         cold.append(unprepared.feedback(*problem))
         previous = problem[:2]
     return commands - np.array(converged), np.array(cold) - np.array(converged)
