@@ -70,8 +70,13 @@ VERDICTS = {
 # Scenario B: numbers and verdicts
 
 
-class _Numbers:
-    """Scenario B's table on one pattern of turns; each verdict by the rule of its kind."""
+class Numbers:
+    """Scenario B's table on one pattern of turns; each verdict by the rule of its kind.
+
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
+        turns: The pattern; the table's first one by default.
+    """
 
     def __init__(self, table, turns=None):
         self.turns = turns or next(iter(table["turns"]))
@@ -79,6 +84,7 @@ class _Numbers:
         self._rows = rows.set_index(["estimator", "quantity", "process_noise"]).sort_index()
 
     def row(self, whose, quantity, rule):
+        """The row of an estimator, or of "RHE - EKF", on a quantity under a rule for W."""
         return self._rows.loc[whose, quantity, rule]
 
     def number(self, estimator, quantity, rule):
@@ -107,8 +113,8 @@ class _Numbers:
 
 
 def _patterns(table):
-    """{pattern of turns: _Numbers}, the one that the table is about first."""
-    return {turns: _Numbers(table, turns) for turns in dict.fromkeys(table["turns"])}
+    """{pattern of turns: Numbers}, the one that the table is about first."""
+    return {turns: Numbers(table, turns) for turns in dict.fromkeys(table["turns"])}
 
 
 # The table of the first screen
@@ -126,7 +132,7 @@ def paper_beside_ours(folder=RESULTS):
     Returns:
         DataFrame of texts such as "met: 0.0419".
     """
-    numbers = _Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
     n = numbers.row("RHE", _ERROR, "printed")["n"]
     never = _conditions(folder, "B7")
     difference_mm = _MM * (paper.MEAN_ERROR_RHE_M - paper.MEAN_ERROR_EKF_M)
@@ -249,7 +255,7 @@ def scenario_b_numbers(folder=RESULTS):
     Returns:
         DataFrame of texts such as "0.0419 [0.0417, 0.0422]".
     """
-    numbers = _Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
     labels = {
         ("RHE", _ERROR): "Mean error, RHE [m]",
         ("EKF", _ERROR): "Mean error, EKF [m]",

@@ -89,7 +89,7 @@ def test_a_world_with_the_signs_reversed_gives_the_other_sentence():
     assert "larger than the paper's (0.0700 for 0.0423 m)" in other
     assert said.startswith("In part:") and other.startswith("No:")
     # Each verdict on the order turns with it.
-    first, back = (answer._Numbers(each) for each in (table, mirrored(table)))
+    first, back = (answer.Numbers(each) for each in (table, mirrored(table)))
     for rule in PROCESS_NOISES:
         assert (first.order(ERROR, rule), back.order(ERROR, rule)) == (HOLDS, FAILS)
         assert first.order(VIOLATIONS, rule) == HOLDS and back.order(VIOLATIONS, rule) == FAILS
@@ -131,14 +131,14 @@ def test_each_word_on_a_number_is_reached(error, single, word):
     if single:
         of_rhe = (table["estimator"] == "RHE") & (table["quantity"] == ERROR)
         table.loc[of_rhe, ["p5", "p95"]] = single
-    assert answer._Numbers(table).number("RHE", ERROR, "printed") == word
+    assert answer.Numbers(table).number("RHE", ERROR, "printed") == word
     assert answer.scenario_b_in_words(table).count(f"as printed {word} (") >= 1
 
 
 @pytest.mark.parametrize("clean, word", [(0.99, HOLDS), (0.95, UNDECIDED), (0.8, FAILS)])
 def test_never_is_judged_by_the_share_of_drives_without_a_violation(clean, word):
     table = scenario_b(AS_IN_THE_PAPER, clean)
-    assert answer._Numbers(table).never("printed") == word
+    assert answer.Numbers(table).never("printed") == word
     assert f"Drives without a violation: RHE: as printed {100 * clean:.0f} %" in (
         answer.scenario_b_in_words(table)
     )
