@@ -291,7 +291,7 @@ def in_words(file=TABLE):
 
 # Which unknowns decide
 
-EFFECT_ROWS = 128  # of each of the two samples, a power of 2
+EFFECT_ROWS = 64  # of each of the two samples, a power of 2
 EFFECT_RULES = ("consistent", "prediction", "tracking")
 _EFFECT_SEED = UNUSED_SEED + 2**21
 _EFFECT_VARIANTS = {f"{e}_{rule}": Variant(e, rule) for rule in EFFECT_RULES for e in ESTIMATORS}
@@ -403,7 +403,7 @@ def _total_effect(values):
 
 # Choices that are in no list
 
-UNLISTED_FIELDS = 100
+UNLISTED_FIELDS = 50
 
 
 def eased_rows(row_length_m, radius_m, rows=8, steps=6):

@@ -1,18 +1,21 @@
 """Which worlds give the paper's numbers: the inverse problem of its field experiment.
 
-The paper states what its robot did, and neither soil nor speed. Here soil, sensors, speed and drive
-are drawn from PRIORS, each world is driven on several fields by the paper's robots, and approximate
-Bayesian computation (`notebooks.studies.abc_regression`) finds the worlds in which one drive
-gives what the paper states (STATEMENTS).
+The paper states what its robot did, and neither soil nor speed nor which way its path turned. Here
+soil, sensors, speed and drive are drawn from PRIORS and CHOICES_OF, each world is driven on several
+fields by the paper's robots, and approximate Bayesian computation
+(`notebooks.studies.abc_regression`) finds the worlds in which one drive gives what the paper states
+(STATEMENTS). Worlds of a first round are the prior's; those of a second are near the first ones
+that came near the paper, with weights that make up for it.
 
 The paper is one drive with each estimator. So the simulation that is compared with it is one
 drive on one field, never the mean of several. The two drives are on the same soil at different
-times, so that their noise differs. W is unknown, too: the RHE's is one of W_RHE, and the EKF's,
-with which nobody can drive as printed, is printed or free.
+times, so that their noise differs. W is unknown, too: that of either estimator is printed or free.
+None is one that was tuned in the default world, so that the posterior does not depend on it.
 
-`python -m notebooks.studies.which_worlds` drives all worlds, in a quarter of an hour, and writes
-`data/prior_drives.parquet`, `data/posterior_worlds.csv` and `data/posterior_drives.parquet`; it
-keeps blocks of worlds in build/inverse and goes on where it was interrupted.
+`python -m notebooks.studies.which_worlds` drives all worlds, in about ten minutes of two quiet
+cores, and writes `data/prior_drives.parquet`, `data/posterior_worlds.csv` and
+`data/posterior_drives.parquet`; it keeps blocks of worlds in build/inverse and goes on where it was
+interrupted. What depends on rules for W is in `notebooks.studies.order_in_worlds`.
 """
 
 import argparse
@@ -42,14 +45,14 @@ POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
 POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 
 FIRST_ROUND = 2048  # worlds of the prior
-SECOND_ROUND = 3072  # worlds near those of the first that came near the paper
+SECOND_ROUND = 2560  # worlds near those of the first that came near the paper
 KEEP_FIRST = 800  # nearest simulations of the first round, behind the second
 FIELDS = 2  # of each world
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
 _BLOCK = 256  # worlds in one file of build/inverse
-KEEP = 3500  # nearest simulations behind a posterior
-DRAWS = 300  # worlds in POSTERIOR_WORLDS
-COPIES = 64  # of the default world, and of the centre, in POSTERIOR_DRIVES
+KEEP = 4200  # nearest simulations behind a posterior
+DRAWS = 240  # worlds in POSTERIOR_WORLDS
+COPIES = 32  # of the default world, and of the centre, in POSTERIOR_DRIVES
 UNUSED_SEED = FIRST_SEED + 2**20  # no world of either round has these fields
 _OTHER_TIME = 2**24  # from the seed of the RHE's noise to that of the EKF's
 
@@ -599,7 +602,7 @@ def posterior_draws(table, n=DRAWS, seed=0, keep=None):
 
 
 PRIORS_ON_PRINTED = (0.5, 0.8, 0.95)
-KEPT = (250, 500, 1000, 2000, 3500)  # simulations, in `by_kept`
+KEPT = (250, 500, 1000, 2000, 4200)  # simulations, in `by_kept`
 
 
 def sensitivity(drives, design, n=2000, seed=0):
