@@ -1,4 +1,4 @@
-"""Audit of the interpretations G1 to G16 (docs/interpretations.md): what each way to read the paper
+"""Audit of the interpretations G1 to G18 (docs/interpretations.md): what each way to read the paper
 does to the estimators, by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
@@ -31,7 +31,7 @@ _MU = 0.9
 
 
 class _Entry(NamedTuple):
-    """A standard deviation of an estimator's W that differs between printed W and the likeliest."""
+    """A standard deviation of an estimator's W that the rules pick differently."""
 
     label: str
     estimator: str
@@ -51,7 +51,8 @@ ENTRIES = {
     "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
     "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
 }
-# Values between printed and likeliest σ that are driven, and those whose runs are shown over time.
+# Values that are driven between σ as printed and by prediction, and those whose runs are shown over
+# time.
 _BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
 _SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
 
@@ -173,7 +174,7 @@ def swept(estimator, process_noise, state, values, seeds):
 
 
 def sweep_of(name, seeds):
-    """As `swept`, with one of ENTRIES of the printed W, from its printed to its likeliest value.
+    """As `swept`, with one of ENTRIES of the printed W moved from its value to that by prediction.
 
     The first result has the runs for pictures alone.
     """
@@ -184,22 +185,24 @@ def sweep_of(name, seeds):
 
 
 def likelihood_profile(estimator, state, factors, seeds=3):
-    """How much less likely measurements become as one of the entries of the likeliest W changes.
+    """How much less likely measurements become as one of the entries of W by prediction changes.
 
     The standard deviation of the state is multiplied by the factors. The columns are sigma and
     deviance, -2 log likelihood a sample above the least, on so many of the training runs.
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
-    likeliest = tuning.NOISES[estimator]["prediction"].sigma_w
-    sigmas = [factor * likeliest[_PLACES[state][0]] for factor in factors]
-    sigma_w = [_with_entry(likeliest, state, sigma) for sigma in sigmas]
-    deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
+    noise = tuning.NOISES[estimator]["prediction"]
+    sigmas = [factor * noise.sigma_w[_PLACES[state][0]] for factor in factors]
+    sigma_w = [_with_entry(noise.sigma_w, state, sigma) for sigma in sigmas]
+    deviances = np.array(
+        [calibration.deviance(estimator, W, runs, sigma_v=noise.sigma_v) / samples for W in sigma_w]
+    )
     return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
 
 
 def likelihood_profiles(factors, seeds=3):
-    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, likeliest σ)}."""
+    """`likelihood_profile` of all ENTRIES: {label: (table, σ as printed, σ by prediction)}."""
     return {
         entry.label: (
             likelihood_profile(entry.estimator, entry.state, factors, seeds),
@@ -226,6 +229,9 @@ INTERPRETATIONS = {
     "G8": ("path's yaw rate as reference", dict(input_reference="curvature")),
     "G9": ("backwards, λ = 1", dict(backwards=True)),
     "G10": ("command one sample late", dict(command_delay=1)),
+    "G18 a": ("turns to the left only", dict(turns="left")),
+    "G18 b": ("turns to the right only", dict(turns="right")),
+    "G18 c": ("a figure of eight", dict(turns="figure_of_eight")),
 }
 QUANTITIES = {
     "mean_error_m": "mean error, raw GNSS [m]",

@@ -24,6 +24,7 @@ from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
+from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot.path import Turns
 
 # W by each rule, the same for RHE and EKF.
@@ -117,24 +118,25 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
         runs: {process noise: {"RHE" or "EKF": Runs, one a seed}}.
     """
 
-    def scenarios(pattern, process_noise, estimator, n):
-        choice = dict(turns=pattern, process_noise=process_noise, estimator=estimator)
-        return [Scenario(seed=number, **choice, **fields) for number in range(n)]
+    def scenario(pattern, estimator, number, process_noise):
+        choice = dict(turns=pattern, estimator=estimator, process_noise=process_noise)
+        return Scenario(seed=number, **choice, **fields)
 
     patterns = [turns, *(pattern for pattern in TURNS if pattern != turns)]
+    # Drives on one field follow each other, so that its soil is made once.
     every = [
-        scenario
+        scenario(pattern, estimator, number, process_noise)
         for pattern in patterns
-        for process_noise in PROCESS_NOISES
         for estimator in _ESTIMATORS
-        for scenario in scenarios(
-            pattern, process_noise, estimator, seeds if pattern == turns else beside
-        )
+        for number in range(seeds if pattern == turns else beside)
+        for process_noise in PROCESS_NOISES
     ]
-    sweep = campaign(every, folder).assign(turns=[scenario.turns for scenario in every])
+    sweep = campaign(every, folder).assign(turns=[each.turns for each in every])
     runs = {
         process_noise: {
-            name.upper(): simulate(scenarios(turns, process_noise, name, drives))
+            name.upper(): simulate(
+                [scenario(turns, name, number, process_noise) for number in range(drives)]
+            )
             for name in _ESTIMATORS
         }
         for process_noise in PROCESS_NOISES
@@ -146,6 +148,12 @@ def rhe_and_ekf(**fields):
     """{"RHE": Run, "EKF": Run} of one Scenario with these fields."""
     runs = simulate([Scenario(estimator=name, **fields) for name in _ESTIMATORS])
     return dict(zip(map(str.upper, _ESTIMATORS), runs))
+
+
+def on_soft_soil(fields, **others):
+    """Runs of the RHE on soft soil with the W by prediction there, one a field from seed 0 on."""
+    soft = WORLDS["soft"] | dict(process_noise="soft_soil") | others
+    return simulate([Scenario(seed=number, **soft) for number in range(fields)])
 
 
 # What many drives have in common
