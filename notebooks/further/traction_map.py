@@ -25,6 +25,8 @@ from rhec.tracked_robot.terrain import Terrain, random_for
 
 VARIATIONS = (0.1, 0.33)  # deviation of κ by its mean slip, 1 - κ
 ERRORS = (-0.2, 0.0, 0.2)  # of the constant κ that a robot is told
+_RIGHT = 0.0
+_OVER_RIGHT = "over_right", "over_right_low", "over_right_high"
 NO_SLIP = "no slip model"  # it is told that μ = κ = 1
 ESTIMATED = "estimated"
 WITH_PAPERS_R = "estimated, R as printed"
@@ -38,6 +40,7 @@ _XY_M = 0.01
 _SPEED_MPS = 0.2
 _ROUNDING = 1e-9
 _PAYS = 0.9  # the worth of an effort: 10 % of the error
+_COSTS = 1.05  # a constant is dearer than another one if its whole interval is above this
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -160,8 +163,9 @@ def worth_map(errors):
 
     Returns:
         DataFrame with columns kappa, variation, told (the error of the constant, or NO_SLIP), mean,
-        low, high, n (of the ratio), and the means with estimated traction: error_m, and
-        error_papers_r_m with the paper's R.
+        low, high, n (of the ratio), the means with estimated traction: error_m, and
+        error_papers_r_m with the paper's R; and over_right, over_right_low, over_right_high, the
+        rival's error over that of a robot that is told the right constants.
     """
     rows = []
     for (kappa, variation, loop), of_rival in errors.items():
@@ -171,7 +175,9 @@ def worth_map(errors):
         about = dict(kappa=kappa, variation=variation, told=str(loop))
         about |= over_seeds(ratio_of_means, estimated, of_rival)._asdict()
         papers_r = errors[kappa, variation, WITH_PAPERS_R]
-        rows.append(about | dict(error_m=estimated.mean(), error_papers_r_m=papers_r.mean()))
+        about |= dict(error_m=estimated.mean(), error_papers_r_m=papers_r.mean())
+        over_right = over_seeds(ratio_of_means, of_rival, errors[kappa, variation, _RIGHT])[:3]
+        rows.append(about | dict(zip(_OVER_RIGHT, over_right)))
     return pd.DataFrame(rows)
 
 
@@ -204,6 +210,18 @@ def counts(table):
     )
 
 
+def _too_low_in_words(driven):
+    """What a constant κ costs that is too low, in words."""
+    too_low = driven[driven["told"] == str(min(ERRORS))]
+    dearer = (too_low["over_right_low"] > _COSTS).sum()
+    times = np.exp(np.log(too_low["over_right"]).mean())
+    told = f"a constant κ that is {abs(min(ERRORS)):g} too low"
+    by_soils = f"{times:.2f} times the error of the right one, over {len(too_low)} soils"
+    if not dearer:
+        return f"Whoever has to guess should guess low: {told} costs no more ({by_soils})."
+    return f"{told[0].upper()}{told[1:]} costs more on {dearer} soils ({by_soils})."
+
+
 def _driven(table):
     """The rows of the soils that a robot can drive which estimates the traction."""
     return table[table["error_m"] < paper.TOLERANCE_M]
@@ -211,6 +229,15 @@ def _driven(table):
 
 def rule_in_words(table):
     """When estimating the traction pays, as sentences and a table in Markdown.
+
+    Args:
+        table: Of `worth_map`.
+    """
+    return f"{rule_in_sentences(table)}\n\n{to_markdown(_by_soil(_driven(table)))}"
+
+
+def rule_in_sentences(table):
+    """When estimating the traction pays, as sentences in Markdown.
 
     Args:
         table: Of `worth_map`.
@@ -231,14 +258,14 @@ def rule_in_words(table):
             f"**Then estimating the traction takes off more than 10 %, with its whole 95 % "
             f"interval, only where the mean κ is {highest:g} or less, and only against wrong "
             f"constants**: {rivals}. Against the right constants the error is "
-            f"{counted.loc[str(0.0), 'ratio']:.2f} times theirs."
+            f"{counted.loc[str(_RIGHT), 'ratio']:.2f} times theirs."
         )
+    rule += f" {_too_low_in_words(driven)}"
     all_soils = len(table.drop_duplicates(["kappa", "variation"]))
     return (
         f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
         f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
-        f"the {len(soils)} of {all_soils} soils that it can drive. {rule}\n\n"
-        + to_markdown(_by_soil(driven))
+        f"the {len(soils)} of {all_soils} soils that it can drive. {rule}"
     )
 
 

@@ -47,6 +47,7 @@ ROBOTS = {  # {robot: fields of Scenario}; the RHE is the paper's, with μ = κ 
     TOLD_BOTH: dict(estimator="drift_oracle"),
     ORACLE: dict(estimator="oracle"),
 }
+_TOLD = "to be told the traction"
 # What an unknown is worth: (what, the robot with it, the robot without it).
 WORTH = [
     ("the traction", TRACTION, NOTHING),
@@ -55,16 +56,23 @@ WORTH = [
     ("the yaw drift, beside the traction", BOTH, TRACTION),
     ("a gyro, beside the traction", GYRO, TRACTION),
     ("a gyro, beside both", ALL, BOTH),
-    ("to be told the traction", TOLD_TRACTION, TRACTION),
+    (_TOLD, TOLD_TRACTION, TRACTION),
 ]
+# What each is worth beside all else.
+BESIDE = {
+    "the yaw drift": "the yaw drift, beside the traction",
+    "the traction": "the traction, beside the yaw drift",
+    "a gyro": "a gyro, beside both",
+}
 DIFFERENCES = (-0.01, -0.005, 0.0, 0.005, 0.01)  # d, by which the left track slips more
 POSTERIOR = "posterior"
 SOFT = "soft"
+KAPPA = "mean κ 0.85"
 _MILDER = 2 * paper.OMEGA_MAX_RADPS
 WORLDS = {f"d = {d:g}": dict(slip_difference=d) for d in DIFFERENCES} | {
-    "mean κ 0.85": dict(kappa_mean=0.85, kappa_deviation=0.03),
+    KAPPA: dict(kappa_mean=0.85, kappa_deviation=0.03),
     SOFT: NAMED_WORLDS["soft"],
-    # On soft soil a turn may need more than the paper's bound.
+    # On soft soil a turn may need a higher yaw rate than the paper's bound.
     f"soft, ω up to {_MILDER:g} rad/s": NAMED_WORLDS["soft"] | dict(omega_max_radps=_MILDER),
 }
 DEFAULT = "d = 0.005"
@@ -75,6 +83,7 @@ RATIO = "true error with it over without it"
 _R = (1.0, 0.3, 0.1, 0.03)  # to choose from
 _TRAINING = 1000  # the first seed of the training fields
 _PAYS = 0.9  # the worth of an effort: 10 % of the error
+_HARDLY = 0.05  # share of drives of the oracle that may be lost in a world that counts
 
 
 def _fields(worlds, seeds):
@@ -164,17 +173,18 @@ def _ratios(table, what, weights, worlds):
     return rows.set_index("world").loc[worlds]
 
 
-def _taken_off(rows):
+def drivable(table):
+    """The worlds in which the oracle, which has the true state, is lost in hardly any drive."""
+    oracle = table[(table["robot"] == ORACLE) & (table["weights"] == AS_PRINTED)]
+    return [*oracle.loc[oracle["lost"] <= _HARDLY, "world"]]
+
+
+def _taken_off(ratios):
     """By how much the errors are less, in words: a range over the worlds."""
-    least, most = (100 * (1 - rows["mean"].agg(["max", "min"]))).round().astype(int)
+    least, most = (round(100 * (1 - ratio)) for ratio in (ratios.max(), ratios.min()))
     if most <= 0:
         return "nothing"
-    return f"{max(least, 0)} to {most} %" if max(least, 0) < most else f"{most} %"
-
-
-def _counted(rows):
-    """In how many worlds an unknown pays, with its whole interval."""
-    return f"{(rows['high'] < _PAYS).sum()} of {len(rows)}"
+    return f"{max(least, 0)} to {most} %" if least < most else f"{most} %"
 
 
 def in_words(table=None, worth_map=None):
@@ -188,59 +198,73 @@ def in_words(table=None, worth_map=None):
         table = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
     if worth_map is None:
         worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
-    worlds = [*WORLDS]
-    worlds.remove(SOFT)  # where no robot can drive, the oracle neither
-    unknowns = {
-        "the yaw drift": "the yaw drift, beside the traction",
-        "the traction": "the traction, beside the yaw drift",
-        "a gyro": "a gyro, beside both",
+    rule = traction_map.rule_in_sentences(worth_map)
+    return f"{_rule(table)}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
+
+
+def _rule(table):
+    """Which unknown is worth estimating, in sentences."""
+    worlds = drivable(table)
+    worth = {
+        name: [_ratios(table, what, weights, worlds) for weights in (AS_PRINTED, TUNED)]
+        for name, what in BESIDE.items()
     }
-    worth = {name: _ratios(table, what, AS_PRINTED, worlds) for name, what in unknowns.items()}
-    with_r = {name: _ratios(table, what, TUNED, worlds) for name, what in unknowns.items()}
-    order = sorted(worth, key=lambda name: np.log(worth[name]["mean"]).mean())
-    first, *others = order
-    r_is_worth = _worth_of_r(table, worlds)
+    order = sorted(worth, key=lambda name: np.log(worth[name][0]["mean"]).mean())
     sentences = [
-        f"**Tune R, and estimate {first}.**",
-        f"R, the controller's weight of the yaw rate, takes {r_is_worth} off the error of an RHE "
-        f"that estimates both, against the paper's {paper.R:g}.",
-        f"With the paper's R, {first} takes off {_taken_off(worth[first])}, more than 10 % with "
-        f"its whole 95 % interval in {_counted(worth[first])} worlds; with R tuned "
-        f"{_taken_off(with_r[first])} ({_counted(with_r[first])}).",
+        f"**Tune R, and estimate {order[0]}.** R takes {_taken_off(_worth_of_r(table, worlds))} "
+        f"off the error of an RHE that estimates traction and yaw drift, against the paper's "
+        f"{paper.R:g}, over {len(worlds)} worlds."
     ]
-    for name in others:
+    for name in order:
+        printed, tuned = worth[name]
+        counts = [f"{(rows['high'] < _PAYS).sum()} of {len(rows)}" for rows in worth[name]]
         sentences.append(
-            f"{name[0].upper()}{name[1:]} takes off {_taken_off(worth[name])} beside it "
-            f"({_counted(worth[name])} worlds), with R tuned {_taken_off(with_r[name])} "
-            f"({_counted(with_r[name])})."
+            f"Beside all else, {name} takes off {_taken_off(printed['mean'])} with the paper's R "
+            f"(more than 10 % with its whole 95 % interval in {counts[0]} worlds), and "
+            f"{_taken_off(tuned['mean'])} with R tuned ({counts[1]})."
         )
-    words = " ".join(sentences)
-    to_show = answer.to_markdown(_by_world(table))
-    return f"{words}\n\n{to_show}\n\n{traction_map.rule_in_words(worth_map)}"
+    told = _ratios(table, _TOLD, AS_PRINTED, worlds)["mean"]
+    sentences.append(
+        f"A filter that is told the true traction has {told.min():.2f} to {told.max():.2f} times "
+        "the error of the RHE that estimates it."
+    )
+    return " ".join([*sentences, *_of_other_worlds(table, worlds)])
 
 
 def _worth_of_r(table, worlds):
-    """What tuning R takes off the error of the RHE of both, in words."""
+    """The error of the RHE of both with R tuned over that with the paper's R, by world."""
     rows = table[(table["robot"] == BOTH) & (table["quantity"] == ERROR)]
     by_weights = rows.pivot(index="world", columns="weights", values="mean").loc[worlds]
-    ratio = by_weights[TUNED] / by_weights[AS_PRINTED]
-    return _taken_off(pd.DataFrame(dict(mean=ratio)))
+    return by_weights[TUNED] / by_weights[AS_PRINTED]
+
+
+def _of_other_worlds(table, worlds):
+    """A sentence about the worlds in which an oracle is lost, too; none if there is none."""
+    oracle = table[(table["robot"] == ORACLE) & (table["weights"] == AS_PRINTED)]
+    lost = oracle.set_index("world")["lost"].drop(worlds)
+    if lost.empty:
+        return []
+    names = " and ".join(lost.index)
+    return [
+        f"Not counted is the world {names!r}, where the oracle is lost in {100 * lost.max():.0f} % "
+        f"of the drives, too: turns there need more than the paper's {paper.OMEGA_MAX_RADPS:g} "
+        "rad/s."
+    ]
 
 
 def _by_world(table):
     """The mean true errors in millimetres by robot and world, as texts."""
-    errors = table[table["quantity"] == ERROR]
+    errors = table[table["quantity"] == ERROR].set_index(["world", "weights", "robot"])["mean"]
     columns = {
-        "d = −0.01": ("d = -0.01", AS_PRINTED),
-        "0": ("d = 0", AS_PRINTED),
-        "0.005, the default": (DEFAULT, AS_PRINTED),
-        "the default, R tuned": (DEFAULT, TUNED),
-        "mean κ 0.85": ("mean κ 0.85", AS_PRINTED),
+        "d = −0.01": (f"d = {DIFFERENCES[0]:g}", AS_PRINTED),
+        "d = 0": ("d = 0", AS_PRINTED),
+        "d = 0.005 (default)": (DEFAULT, AS_PRINTED),
+        "mean κ 0.85": (KAPPA, AS_PRINTED),
         "posterior": (POSTERIOR, AS_PRINTED),
+        "default, R tuned": (DEFAULT, TUNED),
     }
-    by_place = errors.set_index(["world", "weights", "robot"])["mean"]
     texts = {
-        title: [f"{1e3 * by_place[(*place, robot)]:.1f}" for robot in ROBOTS]
+        title: [f"{1e3 * errors[(*place, robot)]:.1f}" for robot in ROBOTS]
         for title, place in columns.items()
     }
     return pd.DataFrame({"mean true error [mm]": [*ROBOTS]} | texts)
