@@ -86,6 +86,12 @@ _PAYS = 0.9  # the worth of an effort: 10 % of the error
 _HARDLY = 0.05  # share of drives of the oracle that may be lost in a world that counts
 
 
+# The rules of W, and who drives by each of them where the tracks slip alike and where they do not.
+RULES = ("printed", "consistent", "prediction", "tracking")
+_BY_RULE = ("EKF of nothing", TRACTION, BOTH)
+_ALIKE_OR_NOT = ("d = -0.01", "d = 0", DEFAULT)
+
+
 def _fields(worlds, seeds):
     """{world: its fields, one Scenario a seed}."""
     return {name: [Scenario(seed=n, **WORLDS[name]) for n in seeds] for name in worlds}
@@ -142,6 +148,36 @@ def drive(seeds, training_fields, posterior_worlds):
     return _errors(chosen)
 
 
+def drive_by_rule(seeds):
+    """Mean true errors by every rule of W with the paper's R, {(world, robot, rule): (n,)}."""
+    drives = {}
+    for world, fields in _fields(_ALIKE_OR_NOT, seeds).items():
+        for robot, rule in itertools.product(_BY_RULE, RULES):
+            scenarios = _drives(fields, robot, paper.R)
+            drives[world, robot, rule] = [
+                dataclasses.replace(each, process_noise=rule) for each in scenarios
+            ]
+    return _errors(drives)
+
+
+def rule_table(errors):
+    """The mean errors of `drive_by_rule`, and those of the RHE of both over the RHE's.
+
+    Returns:
+        DataFrame with columns world, rule, robot, quantity, mean, low, high, n.
+    """
+    rows = []
+    for world, rule in dict.fromkeys((world, rule) for world, _, rule in errors):
+        about = dict(world=world, rule=rule)
+        for robot in _BY_RULE:
+            of_robot = over_seeds(np.mean, errors[world, robot, rule])
+            rows.append(about | dict(robot=robot, quantity=ERROR) | of_robot._asdict())
+        pair = (errors[world, robot, rule] for robot in (BOTH, TRACTION))
+        row = about | dict(robot=BESIDE["the yaw drift"], quantity=RATIO)
+        rows.append(row | over_seeds(ratio_of_means, *pair)._asdict())
+    return pd.DataFrame(rows)
+
+
 def worth_table(errors):
     """The mean errors of every robot, and what each unknown of WORTH is worth, in every world.
 
@@ -187,19 +223,32 @@ def _taken_off(ratios):
     return f"{max(least, 0)} to {most} %" if least < most else f"{most} %"
 
 
-def in_words(table=None, worth_map=None):
+def in_words(table=None, by_rule=None, worth_map=None):
     """When to estimate what, as sentences and a table in Markdown.
 
     Args:
         table: Of `worth_table`; None: that of this commit.
+        by_rule: Of `rule_table`; None: that of this commit.
         worth_map: Of `traction_map.worth_map`; None: that of this commit.
     """
     if table is None:
         table = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
+    if by_rule is None:
+        by_rule = pd.read_csv(answer.RESULTS / "table_unknowns_by_rule.csv")
     if worth_map is None:
         worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
     rule = traction_map.rule_in_sentences(worth_map)
-    return f"{_rule(table)}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
+    words = f"{_rule(table)} {_by_every_rule(by_rule)}"
+    return f"{words}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
+
+
+def _by_every_rule(by_rule):
+    """What the yaw drift takes off by every rule of W in the default world, in a sentence."""
+    rows = by_rule[(by_rule["quantity"] == RATIO) & (by_rule["world"] == DEFAULT)]
+    words = [
+        f"{rule} {_taken_off(rows.loc[rows['rule'] == rule, 'mean'])}" for rule in rows["rule"]
+    ]
+    return f"In the default world the yaw drift takes off, by each rule of W: {', '.join(words)}."
 
 
 def _rule(table):
