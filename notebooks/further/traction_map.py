@@ -40,7 +40,6 @@ _XY_M = 0.01
 _SPEED_MPS = 0.2
 _ROUNDING = 1e-9
 _PAYS = 0.9  # the worth of an effort: 10 % of the error
-_COSTS = 1.05  # a constant is dearer than another one if its whole interval is above this
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -210,16 +209,21 @@ def counts(table):
     )
 
 
-def _too_low_in_words(driven):
-    """What a constant κ costs that is too low, in words."""
-    too_low = driven[driven["told"] == str(min(ERRORS))]
-    dearer = (too_low["over_right_low"] > _COSTS).sum()
-    times = np.exp(np.log(too_low["over_right"]).mean())
-    told = f"a constant κ that is {abs(min(ERRORS)):g} too low"
-    by_soils = f"{times:.2f} times the error of the right one, over {len(too_low)} soils"
-    if not dearer:
-        return f"Whoever has to guess should guess low: {told} costs no more ({by_soils})."
-    return f"{told[0].upper()}{told[1:]} costs more on {dearer} soils ({by_soils})."
+def _wrong_constants_in_words(driven):
+    """What constants κ cost that are too low and too high, in a sentence after others."""
+    times = {}
+    texts = []
+    for error in (min(ERRORS), max(ERRORS)):
+        rows = driven[driven["told"] == str(error)]
+        if rows.empty:
+            return ""  # a κ above 1 is told to no robot
+        times[error] = np.exp(np.log(rows["over_right"]).mean())
+        has = f"has {times[error]:.2f} times the error of the right one"
+        texts.append(f"{_in_words(str(error))} {has} ({len(rows)} soils)")
+    words = f"a constant {texts[0]}, and one {texts[1].removeprefix('κ ')}"
+    if times[min(ERRORS)] < times[max(ERRORS)]:
+        return f" Whoever has to guess should guess low: {words}."
+    return f" {words[0].upper()}{words[1:]}."
 
 
 def _driven(table):
@@ -233,21 +237,28 @@ def rule_in_words(table):
     Args:
         table: Of `worth_map`.
     """
-    return f"{rule_in_sentences(table)}\n\n{to_markdown(_by_soil(_driven(table)))}"
+    driven = _driven(table)
+    soils = driven.drop_duplicates(["kappa", "variation"])
+    gain = 1 - np.exp(np.log(soils["error_m"] / soils["error_papers_r_m"]).mean())
+    all_soils = len(table.drop_duplicates(["kappa", "variation"]))
+    return (
+        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
+        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
+        f"the {len(soils)} of {all_soils} soils that it can drive. {against_constants(table)}\n\n"
+        + to_markdown(_by_soil(driven))
+    )
 
 
-def rule_in_sentences(table):
-    """When estimating the traction pays, as sentences in Markdown.
+def against_constants(table):
+    """When estimating the traction pays against constants that a robot is told, in sentences.
 
     Args:
         table: Of `worth_map`.
     """
     counted = counts(table).set_index("told")
     driven = _driven(table)
-    soils = driven.drop_duplicates(["kappa", "variation"])
-    gain = 1 - np.exp(np.log(soils["error_m"] / soils["error_papers_r_m"]).mean())
     paid = counted[counted["pays"] > 0]
-    rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
+    rule = "**Two constants do as well as an estimate of the traction, even if they are wrong.**"
     if len(paid):
         highest = driven.loc[driven["high"] < _PAYS, "kappa"].max()
         rivals = ", ".join(
@@ -255,18 +266,12 @@ def rule_in_sentences(table):
             for told, row in paid.iterrows()
         )
         rule = (
-            f"**Then estimating the traction takes off more than 10 %, with its whole 95 % "
-            f"interval, only where the mean κ is {highest:g} or less, and only against wrong "
-            f"constants**: {rivals}. Against the right constants the error is "
-            f"{counted.loc[str(_RIGHT), 'ratio']:.2f} times theirs."
+            f"**Against two constants that a robot is told, estimating the traction takes off more "
+            f"than 10 %, with its whole 95 % interval, only where the mean κ is {highest:g} or "
+            f"less, and only if they are wrong**: {rivals}. Against the right constants the error "
+            f"is {counted.loc[str(_RIGHT), 'ratio']:.2f} times theirs."
         )
-    rule += f" {_too_low_in_words(driven)}"
-    all_soils = len(table.drop_duplicates(["kappa", "variation"]))
-    return (
-        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
-        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
-        f"the {len(soils)} of {all_soils} soils that it can drive. {rule}"
-    )
+    return f"{rule}{_wrong_constants_in_words(driven)}"
 
 
 def _by_soil(driven):

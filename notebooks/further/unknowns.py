@@ -82,6 +82,7 @@ ERROR = "mean true error [m]"
 RATIO = "true error with it over without it"
 _R = (1.0, 0.3, 0.1, 0.03)  # to choose from
 _TRAINING = 1000  # the first seed of the training fields
+_FEW = 2  # worlds that are named
 _PAYS = 0.9  # the worth of an effort: 10 % of the error
 _HARDLY = 0.05  # share of drives of the oracle that may be lost in a world that counts
 
@@ -237,8 +238,8 @@ def in_words(table=None, by_rule=None, worth_map=None):
         by_rule = pd.read_csv(answer.RESULTS / "table_unknowns_by_rule.csv")
     if worth_map is None:
         worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
-    rule = traction_map.rule_in_sentences(worth_map)
-    words = f"{_rule(table)} {_by_every_rule(by_rule)}"
+    rule = traction_map.against_constants(worth_map)
+    words = f"{_rule(table)}\n{_by_every_rule(by_rule)}"
     return f"{words}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
 
 
@@ -248,36 +249,50 @@ def _by_every_rule(by_rule):
     words = [
         f"{rule} {_taken_off(rows.loc[rows['rule'] == rule, 'mean'])}" for rule in rows["rule"]
     ]
-    return f"In the default world the yaw drift takes off, by each rule of W: {', '.join(words)}."
+    return (
+        f"- By each rule of W, in the default world, the yaw drift takes off: {', '.join(words)}."
+    )
 
 
 def _rule(table):
-    """Which unknown is worth estimating, in sentences."""
+    """Which unknown is worth estimating: a sentence, and a list with what each takes off."""
     worlds = drivable(table)
     worth = {
         name: [_ratios(table, what, weights, worlds) for weights in (AS_PRINTED, TUNED)]
         for name, what in BESIDE.items()
     }
     order = sorted(worth, key=lambda name: np.log(worth[name][0]["mean"]).mean())
-    sentences = [
-        f"**Tune R, and estimate {order[0]}.** R takes {_taken_off(_worth_of_r(table, worlds))} "
-        f"off the error of an RHE that estimates traction and yaw drift, against the paper's "
-        f"{paper.R:g}, over {len(worlds)} worlds."
+    told = _ratios(table, _TOLD, AS_PRINTED, worlds)["mean"]
+    head = (
+        f"**Tune R, and estimate {order[0]}**, by which soil that differs between the tracks turns "
+        f"the robot. What each takes off the mean true error beside the others, in {len(worlds)} "
+        f"worlds; it *pays* where it takes off more than 10 % with its whole 95 % interval:"
+    )
+    lines = [
+        f"- **R**, instead of the paper's {paper.R:g}: {_taken_off(_worth_of_r(table, worlds))} of "
+        "the error of an RHE that estimates traction and yaw drift."
     ]
     for name in order:
         printed, tuned = worth[name]
-        counts = [f"{(rows['high'] < _PAYS).sum()} of {len(rows)}" for rows in worth[name]]
-        sentences.append(
-            f"Beside all else, {name} takes off {_taken_off(printed['mean'])} with the paper's R "
-            f"(more than 10 % with its whole 95 % interval in {counts[0]} worlds), and "
-            f"{_taken_off(tuned['mean'])} with R tuned ({counts[1]})."
+        lines.append(
+            f"- **{name[0].upper()}{name[1:]}**: {_taken_off(printed['mean'])} with the paper's R, "
+            f"where it pays {_where(printed)}; {_taken_off(tuned['mean'])} with R tuned, where it "
+            f"pays {_where(tuned)}."
         )
-    told = _ratios(table, _TOLD, AS_PRINTED, worlds)["mean"]
-    sentences.append(
-        f"A filter that is told the true traction has {told.min():.2f} to {told.max():.2f} times "
-        "the error of the RHE that estimates it."
+    lines.append(
+        f"- A filter that is *told* the true traction has {told.min():.2f} to {told.max():.2f} "
+        "times the error of the RHE that estimates it."
     )
-    return " ".join([*sentences, *_of_other_worlds(table, worlds)])
+    return "\n".join([head, "", *lines, *_of_other_worlds(table, worlds)])
+
+
+def _where(ratios):
+    """In which worlds an unknown pays, in words."""
+    paid = [*ratios.index[ratios["high"] < _PAYS]]
+    if not paid:
+        return "nowhere"
+    names = f" ({'; '.join(paid)})" if len(paid) <= _FEW else ""
+    return f"in {len(paid)}{names}"
 
 
 def _worth_of_r(table, worlds):
@@ -295,9 +310,9 @@ def _of_other_worlds(table, worlds):
         return []
     names = " and ".join(lost.index)
     return [
-        f"Not counted is the world {names!r}, where the oracle is lost in {100 * lost.max():.0f} % "
-        f"of the drives, too: turns there need more than the paper's {paper.OMEGA_MAX_RADPS:g} "
-        "rad/s."
+        f"- Not counted is the world {names!r}, where the oracle is lost in "
+        f"{100 * lost.max():.0f} % of the drives, too: turns there need more than the paper's "
+        f"{paper.OMEGA_MAX_RADPS:g} rad/s."
     ]
 
 

@@ -115,11 +115,13 @@ def test_the_words_name_what_pays(factor_of, what, percent):
     table = unknowns.worth_table(made_up(factor_of))
     words = unknowns.in_words(table, by_rule(), map_of_equals())
     n = len(EVERY_WORLD)
-    assert words.startswith(f"**Tune R, and estimate {what}.**")
-    assert f"{what} takes off {percent} with the paper's R (more than 10 % with its whole" in words
-    assert f"{n} of {n} worlds" in words and "takes off nothing with the paper's R" in words
+    assert words.startswith(f"**Tune R, and estimate {what}**")
+    line = (
+        f"- **T{what[1:]}**: {percent} with the paper's R, where it pays in {n}; {percent} with R"
+    )
+    assert line in words and ": nothing with the paper's R, where it pays nowhere; nothing" in words
     assert "Not counted" not in words
-    assert "by each rule of W: printed 50 %, consistent 55 %, prediction 60 %, tracking" in words
+    assert "drift takes off: printed 50 %, consistent 55 %, prediction 60 %, tracking" in words
 
 
 def test_a_world_where_an_oracle_is_lost_does_not_count():
