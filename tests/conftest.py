@@ -15,7 +15,6 @@ UNOPTIMISED = HERE / "unoptimised"
 # them, so that no worker is left with one of them at the end.
 LONGEST = (
     "agreement/test_forms.py",
-    "core/test_batch.py",
     "logs/test_replay.py",
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",

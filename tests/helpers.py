@@ -74,7 +74,7 @@ def fused_sample(mhe, mpc):
     (memory, ((x, u, p), command)).
     """
     estimate = rhe.build_phases(mhe.window)["step"]
-    command = rhc.build_phases(mpc.problem)["step"]
+    command = rhc.build_phases(mpc.stages)["step"]
     sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
     memory = ca.MX.sym("memory", sum(sizes))
     shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]

@@ -118,7 +118,7 @@ def live_step(scenario):
         weights = dict(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
         mpc = rhec.RHC(horizon=horizon, **weights)
         tracker = rhec.PathTracker(setup.path, horizon, look_ahead_m=scenario.look_ahead_m)
-    mpc.iteration.start(rhc.init(mpc.problem, setup.guess[:3], setup.guess[3:]))
+    mpc.iteration.start(rhc.init(mpc.stages, setup.guess[:3], setup.guess[3:]))
     fastest = SPEED_MODELS["parameter"].model.limits[3]
     command = 0.0
 

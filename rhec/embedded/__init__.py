@@ -102,7 +102,7 @@ def _of_model(parts):
         )
     if len(by_name) == 2:
         rhe = by_name["rhe"].window
-        rhc = by_name["rhc"].problem
+        rhc = by_name["rhc"].stages
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
     export = phases.export_model(**by_name)

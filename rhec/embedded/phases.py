@@ -22,13 +22,14 @@ from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.core.solver.rti import IMPROVE
+from rhec.core.wiring import in_two_memories, renamed, wired
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 from rhec.tracked_robot.sensors import OUTPUTS
 
 # The entries of a measurement z of the paper's robot; those of other sensors follow.
@@ -55,14 +56,6 @@ _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
 _PHASES = "start", "expand", "shift", "linearise", "feedback", "improve"
 
 
-class _Phase(NamedTuple):
-    """A Function, and the places of its arguments and results in the C memory, in order."""
-
-    function: ca.Function
-    reads: dict  # {argument: place}
-    writes: dict  # {result: place}
-
-
 class _Start(NamedTuple):
     """The initial memory of an owner."""
 
@@ -74,7 +67,7 @@ class _Start(NamedTuple):
 class Export(NamedTuple):
     """The content of the generated C."""
 
-    phases: dict  # {name in C: _Phase}
+    phases: dict  # {name in C: Wired, at places in the C memory}
     memory: dict  # {place in struct rhec: number of doubles}
     settings: dict  # {name: matrix}
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
@@ -90,18 +83,18 @@ def export(scenario):
     traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
     settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
     del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
-    horizon = horizon_of(scenario.prediction_horizon)
+    stages = stages_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
 
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
     else:
         estimate = _split_step(estimator.build_step(choice))
-    control = build_controller(horizon)
+    control = build_controller(stages)
     has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
     if has_yaw_drift:
         control = control | dict(feedback=_with_moved_bounds(control["feedback"]))
-    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
+    references = build_references(stages.dt_s, stages.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
     n_z = len(_measured(scenario))
     follow = _build_follow(references, reports_accepted, n_z, has_yaw_drift)
@@ -114,7 +107,7 @@ def export(scenario):
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
-        return plan_init(horizon, pose, speed_and_traction)
+        return plan_init(stages, pose, speed_and_traction)
 
     n = len(QUANTITIES)
     start = _Start(first_estimate, "estimate", n)
@@ -122,10 +115,10 @@ def export(scenario):
     start = _Start(first_plan, "estimate", n)
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in path_phases.items():
-        phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
+        phases[f"path_{name}"] = _in_struct(wired(function), "path", (), settings, _SHARED)
     has_gate = "rejected" in estimate["shift"].name_in()
     most = patience(choice.estimation_horizon) if has_gate else 0
-    macros = _macros_on_a_path(scenario, horizon.dt_s, most)
+    macros = _macros_on_a_path(scenario, stages.dt_s, most)
     if has_yaw_drift:
         macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
     return _export(phases, settings, setup.guess, macros)
@@ -162,8 +155,8 @@ def _macros_on_a_path(scenario, dt_s, rejected):
 
 def export_model(rhe=None, rhc=None):
     """Return the Export of the RHE, the RHC or both of a Model."""
-    model = rhe.model if rhe else rhc.problem.model
-    dt_s = rhe.window.dt_s if rhe else rhc.problem.dt_s
+    model = rhe.model if rhe else rhc.stages.model
+    dt_s = rhe.window.dt_s if rhe else rhc.stages.dt_s
     macros = dict(DT_S=(dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
@@ -184,8 +177,8 @@ def export_model(rhe=None, rhc=None):
     if rhc:
         n_x = len(model.states)
         settings |= rhc.settings
-        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s)
-        control = build_controller(rhc.structure)
+        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.stages.n_s)
+        control = build_controller(rhc.stages)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
@@ -212,40 +205,29 @@ def _export(phases, settings, guess, macros):
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """Return {name in C: _Phase} of the phases of an owner, including its start."""
+    """Return {name in C: Wired} of the phases of an owner, including its start."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
     functions = functions | dict(start=_build_start(f"rhec_{owner}_start", start, memory))
+    parts = in_two_memories(functions, memory)
     return {
-        f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings, shared)
+        f"{owner}_{name}": _in_struct(parts[name], owner, memory, settings, shared)
         for name in _PHASES
-        if name in functions
+        if name in parts
     }
 
 
-def _bind(function, phase, owner, memory, settings, shared):
-    """Return a phase with its places.
+def _in_struct(part, owner, memory, settings, shared):
+    """Return a Wired phase with its places in the C memory."""
 
-    Memory exists twice, as in `rti.RealTimeIteration`: `shift` reads `previous` and writes
-    `current`; all other phases read `current` and write `previous`.
-    """
-
-    def place(name, version):
-        if name in memory:
-            return f"{owner}.{version}.{name}"
+    def place_of(name):
+        if name.partition(".")[2] in memory:
+            return f"{owner}.{name}"
         if name in settings:
             return f"settings->{name}"
         return shared.get(name, f"{owner}.{name}")
 
-    if phase == "shift":
-        read = "previous"
-        written = "current"
-    else:
-        read = "current"
-        written = "previous"
-    reads = {name: place(name, read) for name in function.name_in()}
-    writes = {name: place(name, written) for name in function.name_out()}
-    return _Phase(function, reads, writes)
+    return renamed(part, place_of)
 
 
 def _build_start(name, start, shapes):

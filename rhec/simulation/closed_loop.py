@@ -118,7 +118,7 @@ def _first_values(scenario, path, guess):
     """What blocks may remember, before the first sample, by name; that of the RHC is a dict."""
     pose = _start_pose(scenario, path)
     own = own_controller(scenario)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    stages = paper_rhc.stages_of(scenario.prediction_horizon)
     return (
         robot.init(pose, _signed_speed(scenario))
         | faults.init(len(scenario.sensors))
@@ -128,7 +128,7 @@ def _first_values(scenario, path, guess):
             newest_omega=0.0,
             s=path.project(pose[None, :2])[1],
             command=0.0,
-            controller=np.array(own.memory) if own else rhc.init(horizon, guess[:3], guess[3:]),
+            controller=np.array(own.memory) if own else rhc.init(stages, guess[:3], guess[3:]),
         )
     )
 

@@ -165,7 +165,7 @@ class RHC(rhc.RHC):
         omega_max: Bound on ω [rad/s], eq. (16).
         dt: Length of a sample [s].
         horizon: Intervals of the prediction.
-        qp: What solves the QP, see `rhec.core.controller.horizon.Horizon`; None: by its stages.
+        qp: What solves the QP, see `rhec.core.controller.stages.Stages`; None: an active set.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -198,11 +198,10 @@ class RHC(rhc.RHC):
 
     def _problem_of(self, options):
         problem = super()._problem_of(options)
-        if problem.structure is not problem.plain:
+        if problem.stages.is_general:
             return problem
         # The paper's iterations are full steps.
-        horizon = problem.plain._replace(damped=False, qp=self._qp)
-        return Problem(horizon, horizon, problem.settings)
+        return Problem(problem.stages._replace(damped=False, qp=self._qp), problem.settings)
 
     def disturbance(self, estimate: Estimate) -> float:
         """The yaw rate d [rad/s] that the soil adds to that of the tracks, θ' = κ (ω + d).

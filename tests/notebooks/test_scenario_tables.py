@@ -55,7 +55,7 @@ def test_the_share_of_fields_in_which_the_rhe_is_better_is_counted_at_equal_seed
     table = scenario_tables.scenario_b_table(sweep).set_index(["estimator", "quantity"])
     row = table.loc[("P(RHE < EKF)", "mean error, raw GNSS [m]")]
     assert row["mean"] == 1 / 8 and row["n"] == 8 and row["low"] < 1 / 8 < row["high"]
-    lost = sweep.assign(max_error_true_m=np.where(sweep["estimator"] == "ekf", 5.0, 0.1))
+    lost = sweep.assign(mean_error_m=np.where(sweep["estimator"] == "ekf", 5.0, 0.1))
     table = scenario_tables.scenario_b_table(lost).set_index(["estimator", "quantity"])
     assert table.loc[("RHE - EKF", "mean error, raw GNSS [m]"), "verdict"] == statistics.LOST
 
