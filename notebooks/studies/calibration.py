@@ -82,6 +82,11 @@ class Tuned(NamedTuple):
 _ALL = "consistent", "prediction", "tracking", "soft_soil"
 ESTIMATORS = {
     "rhe": Tuned(dict(estimator="rhe"), _WINDOW + _TRACTION, _ALL),
+    "rhe_yaw_drift": Tuned(
+        dict(estimator="rhe", yaw_drift=True), _WINDOW + _TRACTION + _YAW_DRIFT, _ALL
+    ),
+    # Without the traction the yaw drift follows the speed.
+    "rhe_no_slip_yaw_drift": Tuned(dict(estimator="rhe_no_slip", yaw_drift=True), [*_WINDOW, (8,)]),
     "rhe_fixed_traction": Tuned(dict(estimator="rhe_fixed_traction"), _WINDOW),
     "rhe_no_slip": Tuned(dict(estimator="rhe_no_slip"), _WINDOW),
     "ekf": Tuned(dict(estimator="ekf"), _FILTER, _ALL),

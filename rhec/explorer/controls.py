@@ -219,7 +219,8 @@ def scenario_of(values, estimator, start):
     settings |= {name: tuple(entry) for name, entry in entries.items()}
     is_rhe = estimator == "rhe"
     settings["sensors"] = settings["sensors"] if is_rhe else ()
-    settings["yaw_drift"] &= is_rhe and settings["speed_model"] != "slipping"
+    takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
+    settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     rule = settings["process_noise"]
