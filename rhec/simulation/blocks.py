@@ -115,10 +115,8 @@ def _sensors(sensors, is_faulty, yaw_rate_interval):
 @_blocks
 def _estimator(choice):
     """The estimate, and how it came about."""
-    traction_input = estimator_of(choice.estimator).traction_input
-    yield Block(known_traction, (traction_input,))
     yield Block(default_results, (_N_Z + len(choice.sensors),))
-    reads = dict(memory="estimator", z_N="z", traction="known_traction")
+    reads = dict(memory="estimator", z_N="z")
     writes = dict(memory="estimator", kkt="kkt_rhe", ok="ok_rhe", yaw_drift="yaw_drift_hat")
     yield Block(build_step, (choice,), reads, writes, remembers=("estimator",))
 
@@ -190,18 +188,6 @@ def _motion(slips_sideways):
 def _log(n_sensors, has_yaw_drift):
     """The row of the log."""
     yield Block(row_of_log, (_N_Z + n_sensors, has_yaw_drift))
-
-
-def known_traction(traction_input):
-    """The Function that selects what an estimator is told of the soil: of most, nothing."""
-
-    @casadi_function("known_traction", ca.MX, mean_traction=(2, 1), traction=(2, 1), yaw_drift=_ONE)
-    def known(mean_traction, traction, yaw_drift):
-        with_drift = ca.vertcat(traction, yaw_drift)
-        passed = traction_input.select_traction(mean_traction, traction, with_drift)
-        return dict(known_traction=passed)
-
-    return known
 
 
 def default_results(n_z):

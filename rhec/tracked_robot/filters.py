@@ -24,7 +24,7 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model.base import Model, interval
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
+from rhec.tracked_robot.choice import TOLD, EstimatorRecord
 from rhec.tracked_robot.kinematics import (
     DRIFTING_SPEED_MODELS,
     QUANTITIES,
@@ -35,7 +35,6 @@ from rhec.tracked_robot.kinematics import (
 )
 from rhec.tracked_robot.rhe import SIGMA_START
 
-_NOTHING = ca.SX(0, 1)
 _TRACTION = QUANTITIES[4:]
 _GUESS = {YAW_DRIFT: 0.0}
 
@@ -78,20 +77,21 @@ _KNOWN_TRACTION = _pose_and_speed(_with_constant_speed(f), _TRACTION)
 _KNOWN_DRIFT = _pose_and_speed(_with_constant_speed(f_with_drift), (*_TRACTION, YAW_DRIFT))
 
 
-def _build_step(name, model, bounds):
+def _build_step(name, model, bounds, told):
     """A filter as a Function (memory, z_N, V, W) -> (memory, estimate, …).
 
-    A filter that is passed the traction has it as one more input: the `traction` of the sample, on
-    which the robot drives from there on. It ends the estimate.
+    A filter that is told the traction, or takes (1, 1) for it, has it as a further input of its
+    Model: that of the sample, on which the robot drives from there on. It ends the estimate.
     """
     kalman = Filter(interval(model), paper.DT_S, bounds=bounds)
     shapes = dict(z_N=(4, 1), V=(4, 1), W=(model.n_s, 1))
-    n_passed = len(model.inputs) - 1
-    if n_passed:
-        shapes["traction"] = (n_passed, 1)
+    shapes |= {signal: TOLD[signal] for signal in told}
 
     @with_packed_memory(f"{name}_step", kalman.memory_shapes, ca.SX, **shapes)
-    def step(z_N, V, W, traction=_NOTHING, **memory):
+    def step(z_N, V, W, **values):
+        memory = {name: values[name] for name in kalman.memory_shapes}
+        no_slip = ca.SX.ones(len(model.inputs) - 1)
+        traction = ca.vertcat(*(values[signal] for signal in told)) if told else no_slip
         # The yaw rate counts as exact, also where the last one is held.
         noise = Noise(V=ca.vertcat(V[:3], 0), W=W, held=0)
         after = kalman.sample(z_N, noise, **memory)
@@ -118,24 +118,24 @@ def _init(model, guess, sigma):
     )
 
 
-def _filter(name, model, passed=TractionInput.NONE, bounds=None):
+def _filter(name, model, told=(), bounds=None):
     """The EstimatorRecord of a filter; `tuning` has its noise.
 
     Args:
         name: Of the filter.
         model: What it knows of the robot.
-        passed: What it is passed of the soil; (1, 1) for one that takes a traction.
+        told: What it is told of the soil; (1, 1) where its model takes a traction.
         bounds: Of its states, as for a Filter; None: those of the model.
     """
     return EstimatorRecord(
         build_step=lambda choice: _build_step(
-            name, model, model.bounds if bounds is None else bounds
+            name, model, model.bounds if bounds is None else bounds, told
         ),
         init=lambda choice, guess, sigma=SIGMA_START: _init(model, guess, sigma),
         settings=lambda scenario: tuning.variances_of(name, scenario),
         states=lambda choice: model.joint_names,
         n_sigma_w=lambda choice: model.n_s,
-        traction_input=passed,
+        told=told,
         has_yaw_drift=lambda choice: YAW_DRIFT in model.names,
     )
 
@@ -145,7 +145,7 @@ ESTIMATORS = {
     "augmented_ekf": _filter("augmented_ekf", _ROBOT, bounds={}),
     "bounded_ekf": _filter("bounded_ekf", _ROBOT),
     "yaw_drift_ekf": _filter("yaw_drift_ekf", _DRIFTING_ROBOT),
-    "fixed_traction": _filter("fixed_traction", _KNOWN_TRACTION, TractionInput.FIELD_MEAN),
-    "traction_oracle": _filter("traction_oracle", _KNOWN_TRACTION, TractionInput.TRUE),
-    "drift_oracle": _filter("drift_oracle", _KNOWN_DRIFT, TractionInput.TRUE_WITH_DRIFT),
+    "fixed_traction": _filter("fixed_traction", _KNOWN_TRACTION, ("mean_traction",)),
+    "traction_oracle": _filter("traction_oracle", _KNOWN_TRACTION, ("traction",)),
+    "drift_oracle": _filter("drift_oracle", _KNOWN_DRIFT, ("traction", "yaw_drift")),
 }

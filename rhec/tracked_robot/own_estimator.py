@@ -9,7 +9,6 @@ import numpy as np
 
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
 from rhec.tracked_robot import choice, tuning
-from rhec.tracked_robot.choice import TractionInput
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 _ONE = (1, 1)
@@ -72,7 +71,7 @@ class Estimator(OwnStep):
             init=self._init,
             settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario))),
             states=lambda choice: tuple(f"state {k}" for k in range(n)),
-            traction_input=TractionInput.FULL_STATE if has_truth else TractionInput.NONE,
+            told=("truth",) if has_truth else (),
         )
 
     def _init(self, choice, guess, sigma=None):

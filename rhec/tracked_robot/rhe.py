@@ -9,7 +9,7 @@ from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
+from rhec.tracked_robot.choice import TOLD, EstimatorRecord
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
@@ -156,14 +156,16 @@ def _window_held(choice):
     return _window(_HELD, choice)
 
 
-def _build_held_step(choice):
-    """The RHE with the traction held, as a Function (memory, z_N, V, W, m_0, P_0, traction)."""
+def _build_held_step(choice, told):
+    """The RHE that is told the traction, or takes (1, 1) for it, as the step of an estimator."""
     step = rhe.build_phases(_window_held(choice))["step"]
     names = ("memory", "z_N", "V", "W", "m_0", "P_0")
     inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
-    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
+    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4))
+    inputs |= {name: ca.MX.sym(name, *TOLD[name]) for name in told}
+    traction = ca.vertcat(*(inputs[name] for name in told)) if told else ca.DM.ones(2)
     # The traction is appended to the measurements.
-    z_N = ca.vertcat(inputs["z_N"], inputs["traction"])
+    z_N = ca.vertcat(inputs["z_N"], traction)
     V = ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2)
     values = inputs | dict(z_N=z_N, V=V)
     results = step.call([values[name] for name in step.name_in()])
@@ -171,9 +173,9 @@ def _build_held_step(choice):
     return ca.Function("held", [*inputs.values()], results, [*inputs], step.name_out(), options)
 
 
-def _held(name, traction_input):
+def _held(name, told=()):
     return EstimatorRecord(
-        build_step=_build_held_step,
+        build_step=lambda choice: _build_held_step(choice, told),
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
         settings=lambda scenario: dict(
             **tuning.variances_of(name, scenario),
@@ -182,7 +184,7 @@ def _held(name, traction_input):
         ),
         states=lambda choice: _HELD.joint_names,
         n_sigma_w=lambda choice: 4,
-        traction_input=traction_input,
+        told=told,
     )
 
 
@@ -198,6 +200,6 @@ ESTIMATORS = {
         ),
         has_yaw_drift=lambda choice: choice.yaw_drift,
     ),
-    "rhe_fixed_traction": _held("rhe_fixed_traction", TractionInput.FIELD_MEAN),
-    "rhe_no_slip": _held("rhe_no_slip", TractionInput.NONE),
+    "rhe_fixed_traction": _held("rhe_fixed_traction", ("mean_traction",)),
+    "rhe_no_slip": _held("rhe_no_slip"),
 }

@@ -119,7 +119,7 @@ def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
     given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w), m_0=guess[:n_w])
     told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
     for reading, p in zip(z, told):
-        known = given | dict(memory=memory, z_N=reading, traction=p)
+        known = given | dict(memory=memory, z_N=reading, traction=p, mean_traction=p)
         result = step(**{name: known[name] for name in step.name_in()})
         memory = result["memory"]
         rows.append((flat(result["estimate"]), np.array(result["covariance"])))

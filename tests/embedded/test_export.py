@@ -107,7 +107,7 @@ def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
     mean = closed_loop.set_up(scenario).terrain.mean
     assert np.max(mean) < 0.8
     source = (exported("fixed traction") / "rhec_scenario.c").read_text()
-    assert f".traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
+    assert f".mean_traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
 
 
 def spoilt(measured):

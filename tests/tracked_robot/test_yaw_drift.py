@@ -95,7 +95,7 @@ def test_the_oracle_is_passed_the_drift():
     truth, z = drifting_drive(weaving_yaw_rates(60), 0.1)
     traction = [TRUTH["mu"], TRUTH["kappa"]]
     knowing, drifts = estimates(
-        "drift_oracle", z, SIGMA_W[:4], traction=dict(traction=[*traction, 0.1]).items()
+        "drift_oracle", z, SIGMA_W[:4], traction=dict(traction=traction, yaw_drift=0.1).items()
     )
     other, _ = estimates(
         "traction_oracle", z, SIGMA_W[:4], traction=dict(traction=traction).items()
