@@ -89,6 +89,7 @@ SENTENCES = [
     (dict(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
     (dict(q=(1, 1, -1)), "q[2] was -1; it should be at least 0"),
     (dict(sensors=("gyro",), estimator="ekf"), "sensors was"),
+    (dict(sensors=("gyro", "gyro")), "it should name each sensor once"),
     (dict(sensors=("heading",), faults=DEAD_GYRO), "with a gyro that fails"),
     (dict(faults=DEAD_GYRO), "sensors should have 'gyro', too"),
 ]
