@@ -8,6 +8,7 @@ import casadi as ca
 from helpers import no_compiler, own_controller
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core.controller import rhc
 from rhec.simulation import closed_loop
@@ -49,7 +50,11 @@ EVERYTHING_ELSE = dict(
     guess_yaw_rad=0.2, process_noise="prediction", path=PATH,
 )  # fmt: skip
 
-LOOPS = {name: Loop(dict(estimator=name), ("live",) + ("in_c",) * (name in NO_C)) for name in NAMES}
+ESTIMATORS = dict(zip(NAMES, NAMES)) | RIVALS
+LOOPS = {
+    name: Loop(dict(estimator=estimator), ("live",) + ("in_c",) * (name in NO_C))
+    for name, estimator in ESTIMATORS.items()
+}
 LOOPS |= {
     "rhe": Loop({}),
     "delayed": Loop(dict(process_noise="printed", q=paper.Q1, command_delay=1, look_ahead_m=0.3)),

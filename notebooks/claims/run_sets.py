@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.rivals import RIVALS
 from notebooks.studies.parallel import map_runs
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
@@ -75,19 +76,21 @@ RUNS = {
     "ekf": dict(estimator="ekf"),
     "ekf_consistent": dict(estimator="ekf", process_noise="consistent"),
     "oracle": _ORACLE,
-    "no_slip": dict(estimator="rhe_no_slip"),
-    "fixed_traction": dict(estimator="rhe_fixed_traction"),
+    "no_slip": dict(estimator=RIVALS["rhe_no_slip"]),
+    "fixed_traction": dict(estimator=RIVALS["rhe_fixed_traction"]),
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "rhe_tracking": _by_tracking("rhe"),
     "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
     # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(estimator="yaw_drift_ekf", process_noise="prediction", duration_s=270.0)
+    "cautious": dict(
+        estimator=RIVALS["yaw_drift_ekf"], process_noise="prediction", duration_s=270.0
+    )
     | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
-    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "fixed_traction_constant": _CONSTANT | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "rhe_uncertain": _UNSURE,
-    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
-    "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
+    "no_slip_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_no_slip"]),
+    "fixed_traction_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "oracle_uncertain": _UNSURE | _ORACLE,
     "ltv_mpc": dict(controller=ltv_mpc.controller),
     "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
@@ -99,7 +102,7 @@ RUNS = {
     "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
     "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
     "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
-    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
 }
 LOGS = {
@@ -113,7 +116,7 @@ LOGS = {
     "ekf_path_yaw_rate": _PATH_YAW_RATE,
     "ekf_path_yaw_rate_undisturbed": _CONSTANT | _UNDISTURBED | _PATH_YAW_RATE,
     "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
-    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "augmented_ekf": dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "q2": dict(q=paper.Q2) | _ON_ROW,
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),

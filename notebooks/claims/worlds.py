@@ -16,6 +16,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 
+import rhec
 from notebooks.claims import evidence as looks
 from notebooks.claims import run_sets
 from notebooks.claims.rules import PREDICTION
@@ -43,7 +44,8 @@ def _noise(world, estimator):
     """The fields of Scenario that give an estimator the W that it has in a world."""
     w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "prediction")
     noise = dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
-    of_estimator = tuning.NOISES.get(estimator, {})
+    has_noises = isinstance(estimator, str | rhec.Estimator)
+    of_estimator = tuning.noises_of(estimator) if has_noises else {}
     named = noise["process_noise"] in of_estimator or "sigma_w" in noise
     return noise if named else dict(process_noise="prediction")
 

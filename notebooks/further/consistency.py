@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import gammaincinv
 
+from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
 from notebooks.studies.tables import readable
@@ -35,8 +36,8 @@ ESTIMATORS = {  # fields of Scenario
     "RHE, prediction": dict(process_noise="prediction"),
     "RHE, consistent": dict(process_noise="consistent"),
     "bounded EKF, prediction": dict(estimator="bounded_ekf"),
-    "yaw-drift EKF, prediction": dict(estimator="yaw_drift_ekf"),
-    "traction oracle": dict(estimator="traction_oracle"),
+    "yaw-drift EKF, prediction": dict(estimator=RIVALS["yaw_drift_ekf"]),
+    "traction oracle": dict(estimator=RIVALS["traction_oracle"]),
 }
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import optimize
 from scipy.stats import qmc
 
+from notebooks.rivals import RIVALS
 from notebooks.studies.calibration import tracking_error_m
 from rhec import paper
 from rhec.tracked_robot import tuning
@@ -40,15 +41,15 @@ _RHC = ("r", "q_theta")
 _SOIL = ("mu", "kappa")
 _FILTERED = dict(arrival_mean="filtered")
 LOOPS = {  # {loop: (fields of Scenario that it keeps, its unknowns)}
-    "fixed_traction": (dict(estimator="fixed_traction"), _RHC + _POSE),
+    "fixed_traction": (dict(estimator=RIVALS["fixed_traction"]), _RHC + _POSE),
     "bounded_ekf": (dict(estimator="bounded_ekf"), _RHC + _POSE + _SOIL),
     "rhe": (dict(estimator="rhe") | _FILTERED, _RHC + _POSE + _SOIL + ("sigma_omega",)),
     "rhe_fixed": (
-        dict(estimator="rhe_fixed_traction") | _FILTERED,
+        dict(estimator=RIVALS["rhe_fixed_traction"]) | _FILTERED,
         _RHC + _POSE + ("sigma_omega",),
     ),
-    "yaw_drift_ekf": (dict(estimator="yaw_drift_ekf"), _RHC + _POSE + _SOIL + ("drift",)),
-    "traction_oracle": (dict(estimator="traction_oracle"), _RHC + _POSE),
+    "yaw_drift_ekf": (dict(estimator=RIVALS["yaw_drift_ekf"]), _RHC + _POSE + _SOIL + ("drift",)),
+    "traction_oracle": (dict(estimator=RIVALS["traction_oracle"]), _RHC + _POSE),
     "oracle": (dict(estimator="oracle"), _RHC),
 }
 
@@ -69,7 +70,7 @@ def fields_of(loop, values):
 def _first_points(loop):
     """Logarithms of W by prediction with R = 10, 1 and 0.1, and of other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
-    rules = tuning.NOISES.get(kept["estimator"])
+    rules = tuning.noises_of(kept["estimator"])
     predicting = rules["prediction"].sigma_w if rules else ()
     bounds = np.array([BOUNDS[name] for name in unknowns])
     for r in (10.0, 1.0, 0.1):

@@ -27,6 +27,7 @@ import contextlib
 
 import numpy as np
 
+from notebooks.rivals import by_name
 from rhec import paper
 from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
@@ -72,7 +73,8 @@ def deviance(estimator, sigma_w, runs, **fields):
 
     `fields` are other settings of the estimator, fields of Scenario.
     """
-    scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
+    sigma_w = tuple(map(float, sigma_w))
+    scenario = Scenario(estimator=by_name(estimator), sigma_w=sigma_w, **fields)
     return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
 
 

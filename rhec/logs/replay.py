@@ -680,8 +680,8 @@ def replay(
             in different rows and at different rates; a measured input is the mean since its
             previous measurement. `rhec.logs.recording` describes the treatment of faults of real
             logs.
-        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
-            a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
+        estimator: "rhe", "ekf", "bounded_ekf", a rhec.Estimator or its CasADi Function, as in
+            Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps

@@ -33,14 +33,9 @@ class Scenario:
 
     # Pydantic skips a union with a class of ours; `_check_types` refuses in one sentence.
     estimator: Annotated[EstimatorName | Estimator | ca.Function, SkipValidation] = "rhe"
-    """The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
-    "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
-    "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
-    traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE with
-    μ = κ = 1); "yaw_drift_ekf" (a bounded EKF that also estimates how much the robot turns for each
-    metre without a yaw rate of its tracks, which the controller cancels); "drift_oracle" (an EKF
-    with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
-    (memory, z) -> (memory, estimate) alone."""
+    """The paper's "rhe" or "ekf". Not in the paper: "bounded_ekf" (μ and κ are states, kept between
+    0 and 1) and "oracle" (has the true pose and traction). Or one's own: a rhec.Estimator, or its
+    CasADi Function (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
     """The rule that picked W, and sigma_v where that is None (G1, G2). "printed": the paper's;
     "consistent": the covariance is as large as the errors on training seeds; "prediction": predicts

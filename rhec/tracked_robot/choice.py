@@ -33,7 +33,7 @@ class Choice(NamedTuple):
         """
         name = scenario.estimator
         noise = scenario.process_noise
-        noises = tuple(tuning.NOISES.get(tuning.name_of_noise(scenario), {}))
+        noises = tuple(tuning.noises_of(tuning.name_of_noise(scenario)))
         if noises and noise is not None and noise not in noises:
             expected = f"for the estimator {name!r} it should be None or one of {noises}"
             raise ValueError(f"process_noise was {noise!r}; {expected}")

@@ -7,10 +7,9 @@ from rhec import paper
 from rhec.core.estimator import rhe
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
-from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import TOLD, EstimatorRecord
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f
+from rhec.tracked_robot.choice import EstimatorRecord
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates. The yaw
@@ -33,30 +32,11 @@ JUDGE = InnovationGate(
     half_turn=HalfTurn("theta_rad", "mu"),
 )
 
-# An RHE that is told the traction shows what estimating it is worth. Here (μ, κ) are inputs that
-# are measured almost exactly.
-_SIGMA_HELD = 1e-6
-_HELD = Model(
-    states=QUANTITIES[:3],
-    inputs=("omega_radps", "mu", "kappa"),
-    parameters={"nu_mps": None},
-    outputs=("x_m", "y_m", "nu_mps", "omega_radps", "mu", "kappa"),
-    f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
-    max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
-)
-
 
 def window_of(choice):
-    """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
-    model = speed_model_of("parameter").model
-    if choice.estimator == "rhe":
-        model = speed_model_of(choice.speed_model, choice.sensors, choice.yaw_drift).model
-    return _window(model, choice)
-
-
-def _window(model, choice):
+    """The Window of a Choice."""
     return rhe.Window(
-        model,
+        speed_model_of(choice.speed_model, choice.sensors, choice.yaw_drift).model,
         choice.dt_s,
         choice.estimation_horizon,
         choice.arrival_mean,
@@ -152,42 +132,6 @@ def _with_drift_apart(phase):
     )
 
 
-def _window_held(choice):
-    return _window(_HELD, choice)
-
-
-def _build_held_step(choice, told):
-    """The RHE that is told the traction, or takes (1, 1) for it, as the step of an estimator."""
-    step = rhe.build_phases(_window_held(choice))["step"]
-    names = ("memory", "z_N", "V", "W", "m_0", "P_0")
-    inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
-    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4))
-    inputs |= {name: ca.MX.sym(name, *TOLD[name]) for name in told}
-    traction = ca.vertcat(*(inputs[name] for name in told)) if told else ca.DM.ones(2)
-    # The traction is appended to the measurements.
-    z_N = ca.vertcat(inputs["z_N"], traction)
-    V = ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2)
-    values = inputs | dict(z_N=z_N, V=V)
-    results = step.call([values[name] for name in step.name_in()])
-    options = {"allow_duplicate_io_names": True}
-    return ca.Function("held", [*inputs.values()], results, [*inputs], step.name_out(), options)
-
-
-def _held(name, told=()):
-    return EstimatorRecord(
-        build_step=lambda choice: _build_held_step(choice, told),
-        init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
-        settings=lambda scenario: dict(
-            **tuning.variances_of(name, scenario),
-            P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
-            m_0=np.zeros(_HELD.n_s),
-        ),
-        states=lambda choice: _HELD.joint_names,
-        n_sigma_w=lambda choice: 4,
-        told=told,
-    )
-
-
 ESTIMATORS = {
     "rhe": EstimatorRecord(
         build_step=lambda choice: build_phases(choice)["step"],
@@ -199,7 +143,5 @@ ESTIMATORS = {
             speed_model_of(choice.speed_model, yaw_drift=choice.yaw_drift).n_sigma_w
         ),
         has_yaw_drift=lambda choice: choice.yaw_drift,
-    ),
-    "rhe_fixed_traction": _held("rhe_fixed_traction", ("mean_traction",)),
-    "rhe_no_slip": _held("rhe_no_slip"),
+    )
 }

@@ -10,6 +10,7 @@ from scipy import stats
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
+from notebooks.rivals import RIVALS
 from notebooks.studies import statistics
 from notebooks.studies.answer import RESULTS
 from notebooks.studies.parallel import map_runs
@@ -294,7 +295,7 @@ def errors(monkeypatch):
 
     def measure(scenarios, folder=None):
         def error(scenario):
-            gain = chosen["advantage"] * (scenario.estimator == "rhe_no_slip")
+            gain = chosen["advantage"] * (scenario.estimator == RIVALS["rhe_no_slip"])
             return 1 + gain + 0.1 * np.random.default_rng(scenario.seed).normal()
 
         scenarios = scenarios["runs"]

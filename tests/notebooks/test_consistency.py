@@ -6,6 +6,7 @@ from helpers import SIMPLE_WORLD
 from scipy import stats
 
 from notebooks.further import consistency
+from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
 from rhec import Scenario
 from rhec.simulation import offline
@@ -77,7 +78,7 @@ def runs():
 
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
-    told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
+    told = consistency.measure(Scenario(estimator=RIVALS["traction_oracle"]), runs)
     printed = consistency.measure(Scenario(estimator="ekf", process_noise="printed"), runs)
     later = told.t_s >= offline.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6

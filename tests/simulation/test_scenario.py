@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
@@ -220,7 +221,7 @@ def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
         ("rhe", "parameter", 6),
         ("rhe", "input", 5),
         ("ekf", "parameter", 4),
-        ("traction_oracle", "input", 4),
+        (RIVALS["traction_oracle"], "input", 4),
     ):
         rhec.Scenario(estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * entries)
         assert f"it should have {entries} entries" in refusal(
@@ -258,9 +259,9 @@ def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
 
 
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
-    assert refusal(estimator="traction_oracle", process_noise="printed") == (
-        "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
-        "of ('prediction',)"
+    assert refusal(estimator="bounded_ekf", process_noise="soft_soil") == (
+        "process_noise was 'soft_soil'; for the estimator 'bounded_ekf' it should be None or one "
+        "of ('printed', 'prediction', 'tracking')"
     )
 
 
