@@ -28,7 +28,6 @@ from rhec.tracked_robot.kinematics import (
     f,
     f_with_drift,
 )
-from rhec.tracked_robot.rhe import SIGMA_START
 
 _TRACTION = QUANTITIES[4:]
 _ROBOT = SPEED_MODELS["parameter"].model
@@ -48,9 +47,9 @@ _KNOWN_DRIFT = pose_and_speed(_with_constant_speed(f_with_drift), (*_TRACTION, Y
 def _first(model):
     """The Function (guess, sigma) -> first memory of a filter."""
     guess = ca.SX.sym("guess", len(QUANTITIES))
-    sigma = ca.SX.sym("sigma", len(QUANTITIES))
+    sigma = ca.SX.sym("sigma", len(QUANTITIES) + 1)
     means = dict(zip(QUANTITIES, ca.vertsplit(guess))) | {YAW_DRIFT: 0.0}
-    deviations = dict(zip(QUANTITIES, ca.vertsplit(sigma))) | {YAW_DRIFT: SIGMA_START[YAW_DRIFT]}
+    deviations = dict(zip((*QUANTITIES, YAW_DRIFT), ca.vertsplit(sigma)))
     m = ca.vertcat(*(means[name] for name in model.joint_names))
     P = ca.diag(ca.vertcat(*(deviations[name] for name in model.joint_names)) ** 2)
     # No interval ends at the first sample, so that its inputs have no effect.

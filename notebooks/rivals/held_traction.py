@@ -63,15 +63,18 @@ def _build_step(name, window, told):
 
 
 def _first(window):
-    """The Function guess -> first memory, which is affine: constant + slopes · guess."""
-
-    def memory(guess):
-        return pack_array(rhe.init(window, dict(zip(QUANTITIES, guess))))
-
+    """The Function (guess, sigma) -> first memory, which is affine in guess and sigma²."""
     n = len(QUANTITIES)
-    constant = memory(np.zeros(n))
+
+    def memory(both):
+        guess, sigma = (dict(zip(QUANTITIES, part)) for part in np.split(both, 2))
+        return pack_array(rhe.init(window, guess, sigma))
+
+    constant = memory(np.zeros(2 * n))
     # Missing measurements are NaN for any guess, so that their slope is 0.
-    slopes = np.nan_to_num(np.column_stack([memory(unit) - constant for unit in np.eye(n)]))
+    slopes = np.nan_to_num(np.column_stack([memory(unit) - constant for unit in np.eye(2 * n)]))
     guess = ca.SX.sym("guess", n)
-    first = ca.DM(constant) + ca.sparsify(ca.DM(slopes)) @ guess
-    return ca.Function("first", [guess], [ca.densify(first)], ["guess"], ["memory"])
+    sigma = ca.SX.sym("sigma", n)
+    first = ca.DM(constant) + ca.sparsify(ca.DM(slopes)) @ ca.vertcat(guess, sigma**2)
+    names = ["guess", "sigma"], ["memory"]
+    return ca.Function("first", [guess, sigma], [ca.densify(first)], *names)

@@ -13,13 +13,14 @@ from rhec.core._casadi.validation import refuse
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
 from rhec.tracked_robot import choice, tuning
 from rhec.tracked_robot.choice import TOLD
-from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START
 
 _ONE = (1, 1)
 _INPUTS = MEMORY, "z_N"
 _RESULTS = MEMORY, "estimate"
 _FIRST = ("guess", "sigma")
+_KNOWN_FIRST = (*QUANTITIES, YAW_DRIFT)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,7 +50,8 @@ class Estimator(OwnStep):
         memory: The first memory, numbers, behind the first guess of the estimate, with which it
             begins; numbers that are left out are 0.
         first: Instead of `memory`, a CasADi Function from the first `guess` (6), and from its
-            standard deviations `sigma` (6) if it takes them, to the first memory.
+            standard deviations `sigma` (6), or (7) with that of the yaw drift, if it takes them, to
+            the first memory.
         states: Names of what the covariance covers, in its order.
         noises: {process_noise: (sigma_w, sigma_v)}: W, and V where `sigma_v` is None, by the rules
             of `Scenario.process_noise`. None: `sigma_w` has to be given.
@@ -140,7 +142,8 @@ class Estimator(OwnStep):
         if self.first:
             given = dict(guess=guess, sigma=SIGMA_START | dict(sigma))
             arguments = [
-                [given[name][quantity] for quantity in QUANTITIES] for name in self.first.name_in()
+                [given[name][quantity] for quantity in _KNOWN_FIRST[: self.first.size1_in(name)]]
+                for name in self.first.name_in()
             ]
             return {MEMORY: self.first(*arguments).full().ravel(order="F")}
         length = self.step.numel_in(MEMORY)
