@@ -19,7 +19,6 @@ from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
 _TRACTION = LinearSegmentedColormap.from_list("traction", [COLOURS["soil"], "1"])
 _TRACTION_STEP = 0.05
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
-_TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
 _LEAST_KKT = 1e-5
 _POOLED = round(1 / paper.DT_S)  # samples of one second
@@ -136,7 +135,10 @@ def trajectories_q(runs, table=None):
     time.set(xlim=(0, 1.02 * end_s), ylim=0, xlabel="time [s]  (dots: settling time)")
     time.set_ylabel("true error [m]")
     order = "" if table is None else f"\n{_order(runs, table)}"
-    plane.set(xlabel="$x$ [m]", title=f"First row: {_title(first)}{order}")
+    scenario = first.scenario
+    noise = parts.noise_text(scenario.process_noise)
+    title = f"First row: {noise}, {parts.world_text(scenario)}, seed {scenario.seed}{order}"
+    plane.set(xlabel="$x$ [m]", title=title)
     figure.legend(loc="outside lower center", ncols=3)
     figure.draw_without_rendering()
     plane.set_ylabel(f"$y$ [m], stretched × {_stretch(plane):.0f}")
@@ -584,14 +586,14 @@ def speed(drives):
 @styled
 def yaw_rate(run):
     """Draw Figure 12: the yaw rate commanded by the RHC, its bounds, and the actual one ω."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.3))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
     axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual (tracks)")
     look = dict(color=COLOURS["RHE"], linewidth=0.9)
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
-    parts.legend_above(axes, **_TIGHT)
+    parts.legend_outside(figure, axes, "lower center", 3)
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     title = f"{_title(run)}: actual − reference, RMS {rms:.3f} rad/s"

@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 
+from notebooks.studies import statistics
 from notebooks.studies.statistics import (
     LOST,
     always,
@@ -279,9 +280,8 @@ def _of_estimator(estimator, column, values):
 
 
 def is_lost(drives):
-    """Whether the robot never arrives, or is 1 m off later, in most rows of a campaign."""
-    lost = drives["settling_time_s"].isna() | (drives["max_error_true_m"] > 1)
-    return lost.mean() > 0.5
+    """Whether the robot of a campaign's rows is lost, as `statistics.is_lost` says."""
+    return statistics.is_lost(drives["mean_error_m"].mean())
 
 
 def _share_below(rhe, ekf):

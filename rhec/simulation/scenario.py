@@ -15,7 +15,7 @@ from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.controller import Controller, check_fits
 from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
-from rhec.tracked_robot import options
+from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
@@ -283,6 +283,11 @@ def _check_fits_estimator(scenario):
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
+    if isinstance(estimator, Estimator) and entries and scenario.sigma_w is None:
+        rule = tuning.process_noise_of(scenario)
+        if rule not in estimator.noises:
+            expected = f"it should have {entries} entries, since {rule!r} picked none for it"
+            raise ValueError(f"sigma_w was None for the estimator {estimator!r}; {expected}")
 
 
 class _TextsAsDocstring:

@@ -302,7 +302,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         backwards=True, turns="left", path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),
     )  # fmt: skip
-    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading")
+    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading", "yaw_drift")
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name not in only_of_the_rhe:
             old = getattr(SHORT, field.name)
@@ -324,6 +324,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         sensing,
         sensing | dict(sigma_gyro=(0.03, 0.1)),
         sensing | dict(sigma_heading=0.05),
+        dict(estimator="rhe", yaw_drift=True, sigma_w=None),
     ]
     more += [{name: value} for name, value in changes.items()]
     scenarios = [SHORT, *(dataclasses.replace(SHORT, **each) for each in more)]
