@@ -68,7 +68,6 @@ LOOPS |= {
     "slipping with a gyro": Loop(
         dict(speed_model="slipping", process_noise="consistent", sensors=("gyro",))
     ),
-    "side slip": Loop(dict(side_slip_rad=0.3, sensors=("gyro",))),
     "yaw drift": Loop(dict(yaw_drift=True, process_noise="printed", slip_difference=-0.1)),
     "yaw drift with a gyro": Loop(
         dict(

@@ -35,7 +35,7 @@ _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
 # Of what an estimator may be told, what no robot can know.
 _TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="truth")
-_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback", yaw_rate_interval="before")
+_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 _UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave

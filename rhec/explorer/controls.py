@@ -135,7 +135,6 @@ _CONTROLS = (
     _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
     _slider("rut_length_m", "ruts over", 0, 3, 0.1),
     _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
-    _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
     Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
     _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
     _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),

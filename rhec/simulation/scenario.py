@@ -66,10 +66,6 @@ class Scenario:
     """Whether the RHE also estimates the yaw drift δ of soil that turns the robot without a yaw
     rate of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the
     speed models "parameter" and "input"."""
-    yaw_rate_interval: Literal["before", "after"] = "before"
-    """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
-    sample; "after": to the one that begins there, so that the estimator is passed it, and the log
-    holds it, one sample later (G16)."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -176,11 +172,6 @@ class Scenario:
     rotation_centre_m: valid.Real = 0.0
     """How far the point about which the robot turns lies ahead of its middle, where the antenna of
     the GNSS is [m]."""
-    side_slip_rad: valid.NotNegative = 0.0
-    """Standard deviation of the angle between course and yaw, as on ice: a side slip that lasts, a
-    Gauss-Markov process of time [rad]. 0: none."""
-    side_slip_time_s: valid.Positive = 1.5
-    """Time constant of that side slip [s]."""
     sensors: options.Sensors = ()
     """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     gyro_sigma_radps: valid.NotNegative = 0.01

@@ -82,7 +82,6 @@ OUT_OF_RANGE = [
     ("input_reference", None),
     ("gyro_scale", -1.0),
     ("gyro_sigma_radps", -0.1),
-    ("side_slip_time_s", 0.0),
 ]
 DEAD_GYRO = (rhec.Fault(kind="dead", channel="gyro"),)
 SENTENCES = [
