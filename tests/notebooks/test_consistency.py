@@ -110,7 +110,7 @@ def test_the_consistent_noise_departs_least_from_consistency(estimator, fresh_ru
 
 def test_departure_is_that_of_the_measured_consistency(runs):
     """Every fifth sample stands for all; with half of the covariance it is (ln 2)² twice."""
-    scenario = Scenario(estimator="traction_oracle")
+    scenario = Scenario(estimator=RIVALS["traction_oracle"])
     measured = consistency.measure(scenario, runs)
     (_, nees, degrees), *_ = consistency.normalised(measured)
     squares = consistency.mean_square_errors(measured).mean(axis=0)
@@ -120,7 +120,7 @@ def test_departure_is_that_of_the_measured_consistency(runs):
         sigma_v = tuple(np.sqrt(factor) * np.array(tuning.sigma_v_of(scenario)))
         sigma_w = tuning.noise_of("traction_oracle", scenario).sigma_w
         scaled = Scenario(
-            estimator="traction_oracle",
+            estimator=RIVALS["traction_oracle"],
             sigma_v=sigma_v,
             sigma_w=tuple(np.sqrt(factor) * np.array(sigma_w)),
         )
