@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import gammaincinv
 
+from notebooks.rivals import RIVALS
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
 from notebooks.studies.tables import interval_text, readable
 from rhec.simulation import offline
@@ -34,8 +35,8 @@ ESTIMATORS = {  # fields of Scenario
     for rule in _RULES
 } | {
     "bounded EKF, prediction": dict(estimator="bounded_ekf"),
-    "yaw-drift EKF, prediction": dict(estimator="yaw_drift_ekf"),
-    "traction oracle, prediction": dict(estimator="traction_oracle"),
+    "yaw-drift EKF, prediction": dict(estimator=RIVALS["yaw_drift_ekf"]),
+    "traction oracle, prediction": dict(estimator=RIVALS["traction_oracle"]),
 }
 # By this factor NEES by its degrees of freedom, and a state's error over σ, may be off 1.
 _BAND = 1.25

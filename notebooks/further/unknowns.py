@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further import traction_map
+from notebooks.rivals import RIVALS
 from notebooks.studies import answer, which_worlds
 from notebooks.studies.statistics import over_seeds, ratio_of_means
 from rhec import paper
@@ -35,16 +36,16 @@ TOLD_BOTH = "EKF, told both"
 ORACLE = "oracle"
 ROBOTS = {  # {robot: fields of Scenario}; the RHE is the paper's, with μ = κ = 1 where it has none
     "EKF of nothing": dict(estimator="ekf"),
-    NOTHING: dict(estimator="rhe_no_slip"),
+    NOTHING: dict(estimator=RIVALS["rhe_no_slip"]),
     "bounded EKF of the traction": dict(estimator="bounded_ekf"),
     TRACTION: dict(estimator="rhe"),
-    DRIFT: dict(estimator="rhe_no_slip", yaw_drift=True),
-    "bounded EKF of both": dict(estimator="yaw_drift_ekf"),
+    DRIFT: dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]),
+    "bounded EKF of both": dict(estimator=RIVALS["yaw_drift_ekf"]),
     BOTH: dict(estimator="rhe", yaw_drift=True),
     GYRO: dict(estimator="rhe", sensors=("gyro",)),
     ALL: dict(estimator="rhe", yaw_drift=True, sensors=("gyro",)),
-    TOLD_TRACTION: dict(estimator="traction_oracle"),
-    TOLD_BOTH: dict(estimator="drift_oracle"),
+    TOLD_TRACTION: dict(estimator=RIVALS["traction_oracle"]),
+    TOLD_BOTH: dict(estimator=RIVALS["drift_oracle"]),
     ORACLE: dict(estimator="oracle"),
 }
 _TOLD = "to be told the traction"

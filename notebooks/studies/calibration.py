@@ -34,6 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from notebooks.further import consistency
+from notebooks.rivals import RIVALS, noises
 from rhec import paper
 from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
@@ -86,18 +87,22 @@ ESTIMATORS = {
         dict(estimator="rhe", yaw_drift=True), _WINDOW + _TRACTION + _YAW_DRIFT, _ALL
     ),
     # Without the traction the yaw drift follows the speed.
-    "rhe_no_slip_yaw_drift": Tuned(dict(estimator="rhe_no_slip", yaw_drift=True), [*_WINDOW, (8,)]),
-    "rhe_fixed_traction": Tuned(dict(estimator="rhe_fixed_traction"), _WINDOW),
-    "rhe_no_slip": Tuned(dict(estimator="rhe_no_slip"), _WINDOW),
+    "rhe_no_slip_yaw_drift": Tuned(
+        dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), [*_WINDOW, (8,)]
+    ),
+    "rhe_fixed_traction": Tuned(dict(estimator=RIVALS["rhe_fixed_traction"]), _WINDOW),
+    "rhe_no_slip": Tuned(dict(estimator=RIVALS["rhe_no_slip"]), _WINDOW),
     "ekf": Tuned(dict(estimator="ekf"), _FILTER, _ALL),
     "augmented_ekf": Tuned(
-        dict(estimator="augmented_ekf"), _FILTER + _TRACTION, ("prediction", "soft_soil")
+        dict(estimator=RIVALS["augmented_ekf"]), _FILTER + _TRACTION, ("prediction", "soft_soil")
     ),
     "bounded_ekf": Tuned(dict(estimator="bounded_ekf"), _FILTER + _TRACTION, _ALL[:3]),
-    "fixed_traction": Tuned(dict(estimator="fixed_traction"), _FILTER),
-    "traction_oracle": Tuned(dict(estimator="traction_oracle"), _FILTER),
-    "drift_oracle": Tuned(dict(estimator="drift_oracle"), _FILTER),
-    "yaw_drift_ekf": Tuned(dict(estimator="yaw_drift_ekf"), _FILTER + _TRACTION + _YAW_DRIFT),
+    "fixed_traction": Tuned(dict(estimator=RIVALS["fixed_traction"]), _FILTER),
+    "traction_oracle": Tuned(dict(estimator=RIVALS["traction_oracle"]), _FILTER),
+    "drift_oracle": Tuned(dict(estimator=RIVALS["drift_oracle"]), _FILTER),
+    "yaw_drift_ekf": Tuned(
+        dict(estimator=RIVALS["yaw_drift_ekf"]), _FILTER + _TRACTION + _YAW_DRIFT
+    ),
 }
 
 
@@ -279,7 +284,12 @@ def write_rows(file, rows):
         writer.writerows(rows[key] for key in (*order, *others) if key in rows)
 
 
-def make_table(names, rules, jobs, file=tuning.FILE):
+def file_of(name):
+    """The tuned.csv that has an estimator: that of the rivals, or that of rhec."""
+    return noises.FILE if name in RIVALS else tuning.FILE
+
+
+def make_table(names, rules, jobs, file_of=file_of):
     """Tune these estimators by these of their rules, and write each row as it is found."""
     wanted = [
         (name, rule)
@@ -294,6 +304,7 @@ def make_table(names, rules, jobs, file=tuning.FILE):
             for name in ("sigma_w", "sigma_v"):
                 row[name] = " ".join(f"{value:g}" for value in row[name])
             print(*row.values(), flush=True)
+            file = file_of(row["estimator"])
             write_rows(file, read_rows(file) | {found[future]: row})
 
 

@@ -71,13 +71,7 @@ def _fault(duration_s, **settings):
 
 
 # {name in Scenario: label}
-ESTIMATORS = {
-    "rhe": "RHE",
-    "ekf": "EKF",
-    "yaw_drift_ekf": "yaw-drift EKF",
-    "oracle": "oracle",
-    "traction_oracle": "traction oracle",
-}
+ESTIMATORS = {"rhe": "RHE", "ekf": "EKF", "oracle": "oracle"}
 RULES = ("printed", "consistent", "prediction", "tracking")
 PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
@@ -141,7 +135,6 @@ _CONTROLS = (
     _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
     _slider("rut_length_m", "ruts over", 0, 3, 0.1),
     _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
-    _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
     Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
     _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
     _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
@@ -248,7 +241,7 @@ def _sigma_w_for_estimator(settings):
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
     # The yaw drift has no slider.
-    tuned = tuning.NOISES["yaw_drift_ekf"]["prediction"].sigma_w
+    tuned = tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w
     six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 

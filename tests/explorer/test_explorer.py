@@ -34,11 +34,11 @@ def made(tmp_path):
 
 
 def test_its_lists_show_what_drives():
-    start = rhec.Scenario(estimator="augmented_ekf", duration_s=20.0)
+    start = rhec.Scenario(estimator="oracle", duration_s=20.0)
     made = rhec.Explorer(start, against="bounded_ekf")
     lists = (made.estimator, made.against, made.process_noise)
-    assert [each.label for each in lists] == ["augmented_ekf", "bounded_ekf", "prediction"]
-    assert [run.scenario.estimator for run in made.runs] == ["augmented_ekf", "bounded_ekf"]
+    assert [each.label for each in lists] == ["oracle", "bounded_ekf", "prediction"]
+    assert [run.scenario.estimator for run in made.runs] == ["oracle", "bounded_ekf"]
 
 
 def shown(made):
@@ -115,7 +115,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         assert controls.scenario_of(given, "rhe", SHORT).sigma_w == sigma_w
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*pose, 0.5)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
+    assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
 
 
 def test_sensors_and_their_faults_apply_to_the_rhe():

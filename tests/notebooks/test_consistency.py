@@ -7,6 +7,7 @@ from helpers import SIMPLE_WORLD
 from scipy import stats
 
 from notebooks.further import consistency
+from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
 from rhec import Scenario
 from rhec.simulation import offline
@@ -79,7 +80,7 @@ def runs():
 
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
-    told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
+    told = consistency.measure(Scenario(estimator=RIVALS["traction_oracle"]), runs)
     printed = consistency.measure(Scenario(estimator="ekf", process_noise="printed"), runs)
     later = told.t_s >= offline.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6
@@ -109,7 +110,7 @@ def test_the_consistent_noise_departs_least_from_consistency(estimator, fresh_ru
 
 def test_departure_is_that_of_the_measured_consistency(runs):
     """Every fifth sample stands for all; with half of the covariance it is (ln 2)² twice."""
-    scenario = Scenario(estimator="traction_oracle")
+    scenario = Scenario(estimator=RIVALS["traction_oracle"])
     measured = consistency.measure(scenario, runs)
     (_, nees, degrees), *_ = consistency.normalised(measured)
     squares = consistency.mean_square_errors(measured).mean(axis=0)
@@ -119,7 +120,7 @@ def test_departure_is_that_of_the_measured_consistency(runs):
         sigma_v = tuple(np.sqrt(factor) * np.array(tuning.sigma_v_of(scenario)))
         sigma_w = tuning.noise_of("traction_oracle", scenario).sigma_w
         scaled = Scenario(
-            estimator="traction_oracle",
+            estimator=RIVALS["traction_oracle"],
             sigma_v=sigma_v,
             sigma_w=tuple(np.sqrt(factor) * np.array(sigma_w)),
         )

@@ -297,7 +297,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     changes = dict(
         estimator="rhe", process_noise="prediction", sigma_v=(0.1,) * 4, sigma_w=(1.0,) * 4,
         speed_model="input", slip=(0.2, 0.1, 0.1, 0.02, 0.05), arrival_mean="smoothed",
-        yaw_rate_interval="after", input_reference="curvature", command_delay=1,
+        input_reference="curvature", command_delay=1,
         traction_timing="sample_before", controller=own_controller(SHORT), soil_under="centre",
         backwards=True, turns="left", path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),

@@ -4,6 +4,8 @@ Source: `notebooks.further.tune_loops`, with 40 evaluations for each unknown on 
 1000 to 1023, drives of 240 s. The comment is the mean true error on them.
 """
 
+from notebooks.rivals import RIVALS
+
 TUNED: dict[str, dict] = {
     "ekf": dict(  # 0.01476 m
         estimator="ekf",
@@ -12,7 +14,7 @@ TUNED: dict[str, dict] = {
         sigma_w=(0.00112, 0.00112, 0.00752, 0.00945),
     ),
     "fixed_traction": dict(  # 0.01427 m
-        estimator="fixed_traction",
+        estimator=RIVALS["fixed_traction"],
         r=0.00309,
         q=(1.0, 1.0, 0.0597),
         sigma_w=(0.00348, 0.00348, 0.0162, 0.359),
@@ -47,26 +49,26 @@ TUNED: dict[str, dict] = {
         sigma_v=(0.03, 0.03, 0.05, 0.184),
     ),
     "rhe_fixed": dict(  # 0.01421 m
-        estimator="rhe_fixed_traction",
+        estimator=RIVALS["rhe_fixed_traction"],
         r=0.00101,
         q=(1.0, 1.0, 0.0324),
         sigma_w=(0.00578, 0.00578, 0.0177, 0.961),
         sigma_v=(0.03, 0.03, 0.05, 0.065),
     ),
     "yaw_drift_ekf": dict(  # 0.01361 m
-        estimator="yaw_drift_ekf",
+        estimator=RIVALS["yaw_drift_ekf"],
         r=0.00224,
         q=(1.0, 1.0, 0.0165),
         sigma_w=(0.00374, 0.00374, 0.0106, 5.07, 0.0492, 0.00142, 2.96e-05),
     ),
     "traction_oracle": dict(  # 0.01426 m
-        estimator="traction_oracle",
+        estimator=RIVALS["traction_oracle"],
         r=0.00152,
         q=(1.0, 1.0, 0.076),
         sigma_w=(0.00353, 0.00353, 0.016, 0.099),
     ),
     "drift_oracle": dict(  # 0.01365 m
-        estimator="drift_oracle",
+        estimator=RIVALS["drift_oracle"],
         r=0.014,
         q=(1.0, 1.0, 0.0312),
         sigma_w=(0.0103, 0.0103, 0.0199, 0.273),
