@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Annotated, get_type_hints
 
 from notebooks import captions
-from rhec.style import replacing
+from rhec.files import replacing
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
@@ -163,7 +163,7 @@ def run(notebook, values, output):
         executed = _executed(notebook, values, on_cell_start)
     _describe_pictures(executed)
     with replacing(output) as unfinished:
-        nbformat.write(executed, unfinished)
+        unfinished.write(f"{nbformat.writes(executed)}\n".encode())
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
 

@@ -5,7 +5,6 @@ contain the version, the scenario and the notebook. All except PNGs also contain
 source; without it, the PNGs in git change only if the pictures change.
 """
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -15,6 +14,7 @@ import os
 import re
 from pathlib import Path
 
+from rhec.files import replacing
 from rhec.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -208,7 +208,7 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
         pdf = io.BytesIO()
         figure.savefig(pdf, format="pdf", metadata=metadata | {"CreationDate": None})
         with replacing(png.with_suffix(".pdf")) as unfinished:
-            unfinished.write_bytes(pdf.getvalue())
+            unfinished.write(pdf.getvalue())
     _list_as_made(png, png.with_suffix(".pdf"))
     return Saved(png)
 
@@ -219,17 +219,6 @@ def _list_as_made(*files):
     if made and files[0].parent == FOLDER:
         with open(made, "a", encoding="utf-8") as listing:
             listing.writelines(f"{file.relative_to(ROOT)}\n" for file in files)
-
-
-@contextlib.contextmanager
-def replacing(file):
-    """A context with the path of an unfinished file, which replaces the file once it is whole."""
-    unfinished = file.with_name(f"{file.name}.unfinished")
-    try:
-        yield unfinished
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
@@ -252,6 +241,6 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
         dataframe.to_csv(unfinished, index=False)
     comments = as_comments(provenance(name, scenario, notebook))
     with replacing(csv.with_suffix(".tex")) as unfinished:
-        unfinished.write_text(comments + dataframe.to_latex(**look), encoding="utf-8")
+        unfinished.write((comments + dataframe.to_latex(**look)).encode())
     _list_as_made(csv, csv.with_suffix(".tex"))
     return csv

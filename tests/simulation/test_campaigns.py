@@ -3,6 +3,7 @@
 import concurrent.futures
 import contextlib
 import dataclasses
+import errno
 import functools
 import io
 import itertools
@@ -387,11 +388,11 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     def full(table, file, **options):
-        Path(file).write_bytes(b"half")
-        raise OSError("No space left on device")
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(pq, "write_table", full)
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match=r"No space left on device: '.*\.parquet'"):
         store.save_rows(tmp_path, {"a": dict(error="")})
     assert not [*tmp_path.iterdir()]
 

@@ -8,7 +8,6 @@ import functools
 import hashlib
 import importlib.metadata
 import json
-import os
 import platform
 import warnings
 from array import array
@@ -19,6 +18,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import shown
 from rhec.core.own_step import OwnStep
+from rhec.files import replacing
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
 from rhec.tracked_robot import terrain
@@ -167,13 +167,8 @@ def save_rows(folder, rows):
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
     name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
-    # With the process number, two campaigns in one folder do not write the same file.
-    unfinished = folder / f"{name}.{os.getpid()}.unfinished"
-    try:
+    with replacing(folder / f"{name}.parquet") as unfinished:
         pq.write_table(table, unfinished, write_page_checksum=True)
-        os.replace(unfinished, folder / f"{name}.parquet")
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def load_rows(folder, wanted=None):
