@@ -129,7 +129,7 @@ def executor_of(engine):
 
         with dask_cluster() as (address, nannies), Client(address) as client:
             client.wait_for_workers(WORKERS)
-            yield client.get_executor(), lambda: children_of(nannies)
+            yield client.get_executor(pure=False), lambda: children_of(nannies)
     else:
         import ipyparallel
 

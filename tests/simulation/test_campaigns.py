@@ -619,7 +619,9 @@ def test_workers_with_other_code_are_refused(tmp_path):
 def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
     """What they would compute on the virtual machine differs in its last bits."""
     monkeypatch.setenv("CC", "")  # the caller has found its compiler already
-    with pytest.raises(RuntimeError, match="has C compiler False, but the caller has True, .*CC should"):
+    with pytest.raises(
+        RuntimeError, match="has C compiler False, but the caller has True, .*CC should"
+    ):
         rhec.campaign(short(), workers=3)
 
 
@@ -652,9 +654,12 @@ def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
         SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
     )
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(1, context) as pool:
-        with pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"):
-            rhec.campaign([*short(2), lethal], tmp_path, pool)
+    sentence = "ProcessPoolExecutor died, .* new executor"
+    with (
+        concurrent.futures.ProcessPoolExecutor(1, context) as pool,
+        pytest.raises(RuntimeError, match=sentence),
+    ):
+        rhec.campaign([*short(2), lethal], tmp_path, pool)
 
 
 def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):

@@ -109,7 +109,7 @@ if __name__ == "__main__":
     path = Lethal(track.segments, track.length_m, True)
     with engines.dask_cluster() as (address, _), Client(address) as client:
         table = rhec.campaign(
-            [*good, dataclasses.replace(base, path=path)], workers=client.get_executor()
+            [*good, dataclasses.replace(base, path=path)], workers=client.get_executor(pure=False)
         )
     assert engines.digest(table[:20].drop(columns="path")) == engines.digest(
         rhec.campaign(good)

@@ -47,9 +47,7 @@ _Workers = Annotated[
 
 @checked
 def campaign(
-    scenarios: Any,
-    folder: Path | None = None,
-    workers: _Workers | None = None,
+    scenarios: Any, folder: Path | None = None, workers: _Workers | None = None
 ) -> "pd.DataFrame":
     """Run scenarios and return a table with one row per run.
 

@@ -117,7 +117,7 @@ def _lacks_locks():
 @functools.cache
 def _of_dask(address):
     """Return the Executor of the Dask cluster whose scheduler has this address."""
-    return optional("distributed", f"RHEC_DASK={address}").Client(address).get_executor()
+    return optional("distributed", f"RHEC_DASK={address}").Client(address).get_executor(pure=False)
 
 
 class _Workers:
