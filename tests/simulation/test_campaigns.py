@@ -372,6 +372,34 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     assert_equal_rows(rhec.campaign(short(), tmp_path), first)
 
 
+def test_a_file_that_went_through_pandas_is_read(tmp_path, ran):
+    """There NaN is written as null."""
+    scenarios = [*short(3), dataclasses.replace(SHORT, estimator="oracle", seed=9)]
+    first = rhec.campaign(scenarios, tmp_path)
+    (file,) = tmp_path.glob("*/*.parquet")
+    nulls = sum(column.null_count for column in pq.read_table(file).columns)
+    pd.read_parquet(file).to_parquet(file)
+    assert sum(column.null_count for column in pq.read_table(file).columns) > nulls == 0
+    ran.clear()
+    assert_equal_rows(rhec.campaign(scenarios, tmp_path), first)
+    assert ran == []
+
+
+def test_what_is_no_file_is_left_aside(tmp_path, ran):
+    """A pipe would be waited for, a loop of links is none, and nothing is in a folder."""
+    first = rhec.campaign(short(), tmp_path)
+    (folder,) = tmp_path.iterdir()
+    os.mkfifo(folder / "a.parquet")
+    (folder / "b.parquet").symlink_to("b.parquet")
+    (folder / "c.parquet").mkdir()
+    ran.clear()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert_equal_rows(rhec.campaign(short(), tmp_path), first)
+    assert ["it is no file" in str(each.message) for each in caught] == [True] * 3
+    assert ran == []
+
+
 def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)

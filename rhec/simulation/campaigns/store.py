@@ -194,13 +194,29 @@ def _read_table(file, wanted):
     """Return the Arrow table of a file, with the rows of these keys or, for None, with all rows."""
     import pyarrow.parquet as pq
 
+    if not file.is_file():  # reading a pipe would wait for ever
+        raise OSError("it is no file")
     with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
         names = _schema().names
         if missing := {*names} - {*parquet.schema_arrow.names}:
             raise KeyError(f"no column {min(missing)}")
         if wanted is None:
-            return parquet.read(names).cast(_schema())
+            return _as_written(parquet.read(names))
         chosen = [key in wanted for key in parquet.read(["key"])["key"].to_pylist()]
         if not any(chosen):
             return _schema().empty_table()
-        return parquet.read(names).cast(_schema()).filter(chosen)
+        return _as_written(parquet.read(names)).filter(chosen)
+
+
+def _as_written(table):
+    """The table with the types of `save_rows`, and NaN where pandas has made it null."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    table = table.cast(_schema())
+    for place, field in enumerate(table.schema):
+        if table.column(place).null_count:
+            if not pa.types.is_floating(field.type):
+                raise ValueError(f"{field.name} has no value in some rows")
+            table = table.set_column(place, field, pc.fill_null(table.column(place), np.nan))
+    return table
