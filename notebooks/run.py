@@ -8,6 +8,7 @@ import argparse
 import ast
 import contextlib
 import difflib
+import errno
 import html
 import json
 import logging
@@ -356,6 +357,8 @@ def main():
             parser.exit(130, interrupted)
         if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
             parser.exit(2, f"{error.evalue}\n")
+        if error.evalue.startswith(f"[Errno {errno.ENOSPC}]"):
+            parser.exit(1, f"{notebook.stem}: {error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started_s
     print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")

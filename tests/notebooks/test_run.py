@@ -275,6 +275,14 @@ def test_a_kernel_that_dies_in_a_cell_does_not_start_again(tmp_path, monkeypatch
     assert (tmp_path / "begun").read_text() == "."
 
 
+def test_a_full_disk_in_a_cell_is_a_sentence_that_names_the_file(tmp_path, monkeypatch, capsys):
+    writing = "with replacing('fig.png') as file: raise OSError(28, 'No space left on device')"
+    cell = f"from rhec.files import replacing\n{writing}"
+    with pytest.raises(SystemExit):
+        run_toy(monkeypatch, toy(tmp_path, cell))
+    assert capsys.readouterr().err == "toy: [Errno 28] No space left on device: 'fig.png'\n"
+
+
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
     """A cell may describe its own; nbconvert writes them into its pages."""
     path = toy(tmp_path, "from PIL.Image import new\nnew('L', (9, 9))", OWN_ALT)
