@@ -6,7 +6,7 @@ EVALUATIONS for each of its unknowns, the mean true error over the same training
 default world, and the same search on logarithms.
 
 1. At most a third of the budget: points of a Sobol sequence over all bounds, after three points
-   with the likeliest W and R = 10 (the paper's), 1 and 0.1.
+   with W by prediction and R = 10 (the paper's), 1 and 0.1.
 2. The rest: Nelder and Mead's method, half each from the two best points.
 
     python -m notebooks.further.tune_loops [LOOP …]
@@ -67,14 +67,15 @@ def fields_of(loop, values):
 
 
 def _first_points(loop):
-    """Logarithms of the likeliest W with R = 10, 1 and 0.1, and other unknowns in the middle."""
+    """Logarithms of W by prediction with R = 10, 1 and 0.1, and of other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
-    likeliest = tuning.SIGMA_W.get(kept["estimator"], {}).get("likelihood", ())
+    rules = tuning.NOISES.get(kept["estimator"])
+    predicting = rules["prediction"].sigma_w if rules else ()
     bounds = np.array([BOUNDS[name] for name in unknowns])
     for r in (10.0, 1.0, 0.1):
         known = dict(r=r, q_theta=paper.Q3[2])
-        for name in _PLACES.keys() & unknowns if likeliest else ():
-            known[name] = likeliest[_PLACES[name][0]]
+        for name in _PLACES.keys() & unknowns if predicting else ():
+            known[name] = predicting[_PLACES[name][0]]
         middle = np.sqrt(bounds.prod(axis=1))
         values = [known.get(name, value) for name, value in zip(unknowns, middle)]
         yield np.log(np.clip(values, *bounds.T))

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, fields
 
 import casadi as ca
 
+from rhec.core import wiring
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import OPTIONS, casadi_function, packed_size, unpack
 
@@ -76,13 +77,10 @@ class Block:
         """Its Function, built once in a process."""
         return _built(compiled.loop_symbols(), self.build, self.arguments)
 
-    def inputs(self):
-        """{input: signal} of its Function, in order."""
-        return {name: self.reads.get(name, name) for name in self.function.name_in()}
-
-    def results(self):
-        """{result: signal} of its Function, in order."""
-        return {name: self.writes.get(name, name) for name in self.function.name_out()}
+    @property
+    def wired(self) -> wiring.Wired:
+        """Its Function, and the signals that this reads and writes."""
+        return wiring.wired(self.function, self.reads, self.writes)
 
 
 # Loops that differ in one block share the others, which take a third of a second to build.
@@ -135,8 +133,11 @@ def sample(blocks, settings, row, others=()):
     Raises:
         ValueError: If a signal comes from nowhere, or is remembered or drawn in vain; one sentence.
     """
-    outside = _read_from_outside(blocks)
-    written = {signal: block for block in blocks for signal in block.results().values()}
+    parts = [block.wired for block in blocks]
+    outside = {}
+    for place, (function, name) in wiring.outside(parts).items():
+        outside.setdefault(place.removesuffix(_LAST), (function.size_in(name), function.name()))
+    written = {signal for part in parts for signal in part.writes.values()}
     memory = {name: _outside(outside, name, "remembers") for name in remembered(blocks)}
     stream = {name: _outside(outside, name, "draws") for name in drawn(blocks)}
     for name in memory:
@@ -145,7 +146,7 @@ def sample(blocks, settings, row, others=()):
     constant = {name: shape for name, (shape, _) in outside.items() if name not in memory | stream}
     for name in constant:
         if name not in settings:
-            reader = outside[name][1].function.name()
+            reader = outside[name][1]
             raise ValueError(f"no block before {reader!r} writes {name!r}, and it is no setting")
     symbols = {name: ca.MX.sym(name, *shape) for name, shape in constant.items()}
     packed = dict(
@@ -155,9 +156,7 @@ def sample(blocks, settings, row, others=()):
     last = unpack(packed["memory"], memory)
     signals = symbols | unpack(packed["noise"], stream) | last
     signals |= {name + _LAST: value for name, value in last.items()}
-    for block in blocks:
-        results = block.function.call([signals[name] for name in block.inputs().values()])
-        signals |= dict(zip(block.results().values(), results))
+    signals = wiring.evaluated(parts, signals)
     results = dict(
         memory=ca.veccat(*(signals[name] for name in memory)),
         row=ca.veccat(*(signals[name] for name in row)),
@@ -168,20 +167,6 @@ def sample(blocks, settings, row, others=()):
     outputs = [ca.densify(value) for value in results.values()]
     names = [*inputs], [*results]
     return ca.Function("sample", [*inputs.values()], outputs, *names, OPTIONS[ca.MX])
-
-
-def _read_from_outside(blocks):
-    """{signal: (shape, block that reads it)} of what is read before any block has written it."""
-    found = {}
-    known = set()
-    for block in blocks:
-        for name, signal in block.inputs().items():
-            signal = signal.removesuffix(_LAST)
-            is_last = block.reads.get(name, name).endswith(_LAST)
-            if is_last or signal not in known:
-                found.setdefault(signal, (block.function.size_in(name), block))
-        known.update(block.results().values())
-    return found
 
 
 def _outside(outside, name, verb):

@@ -97,7 +97,7 @@ def _of_model(parts):
         )
     if len(by_name) == 2:
         rhe = by_name["rhe"].window
-        rhc = by_name["rhc"].problem
+        rhc = by_name["rhc"].stages
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
     export = phases.export_model(**by_name)
@@ -169,8 +169,6 @@ def _obstacle(estimator):
     described = estimator_of(estimator)
     if described.traction_input not in _EXPORTED:
         return f"which needs the {described.traction_input.value}"
-    if described.has_yaw_drift:
-        return "whose yaw drift the exported controller does not cancel"
     return ""
 
 

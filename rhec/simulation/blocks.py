@@ -25,6 +25,7 @@ from rhec.tracked_robot.kinematics import SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 
 _ONE = (1, 1)
+_NONE = ca.MX(0, 1)
 _N_Z = 4  # entries of a measurement (x, y, ν, ω); those of other sensors follow
 # What a controller reads and what it writes under names of its own: {its name: the signal}.
 _OF_CONTROLLER = (
@@ -49,7 +50,7 @@ def blocks_of(scenario, n_segments=None, terrain_shape=None):
     sensors = scenario.sensors
     interval = scenario.yaw_rate_interval
     choice = Choice.of(scenario)
-    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift
+    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift(choice)
     horizon = scenario.prediction_horizon
     own = own_controller(scenario)
     return (
@@ -60,7 +61,7 @@ def blocks_of(scenario, n_segments=None, terrain_shape=None):
         *_references(horizon, n_segments, scenario.input_reference),
         *_controller(own, horizon, scenario.traction_timing, has_yaw_drift),
         *_motion(bool(scenario.side_slip_rad)),
-        *_log(len(sensors)),
+        *_log(len(sensors), has_yaw_drift),
     )
 
 
@@ -186,9 +187,9 @@ def _motion(slips_sideways):
 
 
 @_blocks
-def _log(n_sensors):
+def _log(n_sensors, has_yaw_drift):
     """The row of the log."""
-    yield Block(row_of_log, (_N_Z + n_sensors,))
+    yield Block(row_of_log, (_N_Z + n_sensors, has_yaw_drift))
 
 
 def known_traction(traction_input):
@@ -255,18 +256,22 @@ def applied_command():
     return applied
 
 
-def row_of_log(n_z):
-    """The Function that puts a row of the log together; a measurement has n_z entries."""
+def row_of_log(n_z, has_yaw_drift):
+    """The Function that puts a row of the log together, see `columns.of_run`.
+
+    A measurement has n_z entries.
+    """
     shapes = {name: (len(columns), 1) for name, columns in LOG.items() if name != "ok"}
     shapes |= dict(z=(n_z, 1), accepted=(_N_Z, 1), ok_rhe=_ONE, ok_rhc=_ONE)
+    shapes |= dict(yaw_drift_hat=_ONE) if has_yaw_drift else {}
 
     @casadi_function("row_of_log", ca.MX, **shapes)
-    def row(z, accepted, ok_rhe, ok_rhc, **parts):
+    def row(z, accepted, ok_rhe, ok_rhc, yaw_drift_hat=_NONE, **parts):
         of_log = parts | dict(
             z=z[:_N_Z],
             ok=ca.fmin(ok_rhe, ok_rhc),
             accepted=ca.vertcat(accepted[0] * accepted[1], accepted[2] * accepted[3]),
         )
-        return dict(row=ca.vertcat(*(of_log[name] for name in LOG), z[_N_Z:]))
+        return dict(row=ca.vertcat(*(of_log[name] for name in LOG), z[_N_Z:], yaw_drift_hat))
 
     return row

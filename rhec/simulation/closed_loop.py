@@ -16,7 +16,8 @@ from rhec.core._casadi import build, early, packing
 from rhec.core.controller import rhc
 from rhec.simulation import faults
 from rhec.simulation.blocks import blocks_of
-from rhec.simulation.columns import COLUMNS, FLAGS, SENSORS
+from rhec.simulation.columns import COLUMNS as COLUMNS  # without those of a scenario's options
+from rhec.simulation.columns import FLAGS, SENSORS, of_run
 from rhec.simulation.controller import own_controller
 from rhec.simulation.metrics import metrics
 from rhec.simulation.run import Run
@@ -117,7 +118,7 @@ def _first_values(scenario, path, guess):
     """What blocks may remember, before the first sample, by name; that of the RHC is a dict."""
     pose = _start_pose(scenario, path)
     own = own_controller(scenario)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
+    stages = paper_rhc.stages_of(scenario.prediction_horizon)
     return (
         robot.init(pose, _signed_speed(scenario))
         | faults.init(len(scenario.sensors))
@@ -127,7 +128,7 @@ def _first_values(scenario, path, guess):
             newest_omega=0.0,
             s=path.project(pose[None, :2])[1],
             command=0.0,
-            controller=np.array(own.memory) if own else rhc.init(horizon, guess[:3], guess[3:]),
+            controller=np.array(own.memory) if own else rhc.init(stages, guess[:3], guess[3:]),
         )
     )
 
@@ -192,7 +193,9 @@ def simulate_setup(scenario, setup):
 def finished(scenario, setup, rows):
     """The Run of a scenario, from the rows (n, columns) that its loop yielded."""
     path = setup.path
-    names = [*COLUMNS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
+    choice = Choice.of(scenario)
+    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift(choice)
+    names = of_run(scenario.sensors, has_yaw_drift)
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(names, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}

@@ -19,7 +19,8 @@ from rhec.tracked_robot import options
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
-from rhec.tracked_robot.path import Path, path_of
+from rhec.tracked_robot.path import Path, Turns, path_of
+from rhec.tracked_robot.sensors import refuse_drift_with
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 if TYPE_CHECKING:
@@ -41,12 +42,12 @@ class Scenario:
     with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
     (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
-    """W by name (G1, G2). "printed": the paper's; "likelihood": the likeliest on training seeds;
-    "consistent": makes the covariance match the errors there; "tracking": has the least true error
-    there with the paper's controller. These two also set sigma_v where that is None. "soft_soil":
-    the likeliest on soil that slips more, as under recorded robots. None: "printed" for an RHE,
-    "likelihood" for a filter, which with W as printed loses its heading. Likelihood is the one rule
-    that needs no truth, so that it could have been followed in the field."""
+    """The rule that picked W, and sigma_v where that is None (G1, G2). "printed": the paper's;
+    "consistent": the covariance is as large as the errors on training seeds; "prediction": predicts
+    their next measurements best; "tracking": has the least true error there with the paper's
+    controller; "soft_soil": as "prediction" on soil that slips more, as under recorded robots.
+    None: "prediction" for every estimator, the one rule that needs no truth, so that it could have
+    been followed in the field."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
     """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
@@ -66,6 +67,10 @@ class Scenario:
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (G7)."""
+    yaw_drift: valid.Flag = False
+    """Whether the RHE also estimates the yaw drift δ of soil that turns the robot without a yaw
+    rate of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the
+    speed models "parameter" and "input"."""
     yaw_rate_interval: Literal["before", "after"] = "before"
     """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
     sample; "after": to the one that begins there, so that the estimator is passed it, and the log
@@ -113,11 +118,15 @@ class Scenario:
     backwards: valid.Flag = False
     """Whether the robot drives in reverse, λ = 1 in eq. (18) (G9)."""
     path: Annotated[Path | None, SkipValidation] = None
-    """Path to follow. None: two rows that half circles join on the headlands."""
+    """Path to follow. None: rows that are joined by turns, as the next three parameters say."""
+    turns: Turns = "alternate"
+    """Which way the path turns at the ends of its rows (G18). "alternate": to alternate sides, as a
+    field of four rows is worked, then back along the headland; "left" and "right": always to that
+    side, between two rows; "figure_of_eight": to alternate sides, between two rows that cross."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
-    """Length of each of these two rows [m]."""
+    """Length of each of these rows [m]."""
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
-    """Radius of these half circles [m]."""
+    """Radius of these turns [m]."""
     start_offset_m: valid.Real = paper.START_OFFSET_M
     """Where the robot starts, to the left of the path's beginning (G3) [m]."""
     start_yaw_rad: valid.Real = 0.0
@@ -259,11 +268,16 @@ def _check_deviation(scenario, name):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
+    """Refuse `sensors`, `yaw_drift`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
     if scenario.sensors and estimator != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
+    if scenario.yaw_drift and estimator != "rhe":
+        expected = f"for the estimator {valid.shown(estimator)} it should be False"
+        raise ValueError(f"yaw_drift was True; {expected}")
+    if scenario.yaw_drift:
+        refuse_drift_with(scenario.speed_model)
     for fault in scenario.faults:
         if fault.channel in SENSOR_CHANNELS and fault.channel not in scenario.sensors:
             raise ValueError(

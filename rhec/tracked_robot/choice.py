@@ -43,6 +43,7 @@ class Choice(NamedTuple):
     arrival_mean: str
     dt_s: float = paper.DT_S
     sensors: tuple[str, ...] = ()
+    yaw_drift: bool = False
 
     @classmethod
     def of(cls, scenario):
@@ -53,7 +54,7 @@ class Choice(NamedTuple):
         """
         name = scenario.estimator
         noise = scenario.process_noise
-        noises = tuple(tuning.SIGMA_W.get(name, {}))
+        noises = tuple(tuning.NOISES.get(tuning.name_of_noise(scenario), {}))
         if noises and noise is not None and noise not in noises:
             expected = f"for the estimator {name!r} it should be None or one of {noises}"
             raise ValueError(f"process_noise was {noise!r}; {expected}")
@@ -63,6 +64,7 @@ class Choice(NamedTuple):
             scenario.speed_model,
             scenario.arrival_mean,
             sensors=scenario.sensors,
+            yaw_drift=scenario.yaw_drift,
         )
 
 
@@ -82,4 +84,5 @@ class EstimatorRecord(NamedTuple):
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
     traction_input: TractionInput = TractionInput.NONE
-    has_yaw_drift: bool = False  # whether its step has a result `yaw_drift`
+    # whether its step has a result `yaw_drift`
+    has_yaw_drift: Callable[[Choice], bool] = lambda choice: False

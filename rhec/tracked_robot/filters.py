@@ -16,8 +16,6 @@ Brennan and Reichard, 2014):
 the controller corrects its command (`rhec.tracked_robot.yaw_disturbance`).
 """
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 
@@ -27,15 +25,19 @@ from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model.base import Model, interval
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, f_with_drift
+from rhec.tracked_robot.kinematics import (
+    DRIFTING_SPEED_MODELS,
+    QUANTITIES,
+    SPEED_MODELS,
+    YAW_DRIFT,
+    f,
+    f_with_drift,
+)
 from rhec.tracked_robot.rhe import SIGMA_START
 
 _NOTHING = ca.SX(0, 1)
 _TRACTION = QUANTITIES[4:]
-_YAW_DRIFT = "yaw_drift_radpm"
-# At the start the yaw drift is unknown: 0.05 rad/m are two per cent of slip between the tracks.
-_GUESS = {_YAW_DRIFT: 0.0}
-_SIGMA_START = SIGMA_START | {_YAW_DRIFT: 0.05}
+_GUESS = {YAW_DRIFT: 0.0}
 
 
 def _euler(x, u, p):
@@ -69,11 +71,11 @@ def _pose_and_speed(f, passed, discrete=False):
 
 
 _ROBOT = SPEED_MODELS["parameter"].model
-_DRIFTING_ROBOT = replace(_ROBOT, parameters=_ROBOT.parameters | {_YAW_DRIFT: None}, f=f_with_drift)
+_DRIFTING_ROBOT = DRIFTING_SPEED_MODELS["parameter"].model
 _PAPERS = _pose_and_speed(_euler, _TRACTION, discrete=True)
 # These show what knowing the traction is worth, so they are otherwise the better model.
 _KNOWN_TRACTION = _pose_and_speed(_with_constant_speed(f), _TRACTION)
-_KNOWN_DRIFT = _pose_and_speed(_with_constant_speed(f_with_drift), (*_TRACTION, _YAW_DRIFT))
+_KNOWN_DRIFT = _pose_and_speed(_with_constant_speed(f_with_drift), (*_TRACTION, YAW_DRIFT))
 
 
 def _build_step(name, model, bounds):
@@ -95,7 +97,7 @@ def _build_step(name, model, bounds):
         after = kalman.sample(z_N, noise, **memory)
         known = ca.vertcat(after.m, traction)
         results = dict(estimate=known[:6], covariance=after.P, deviance=after.deviance)
-        if _YAW_DRIFT in model.names:  # estimated or passed
+        if YAW_DRIFT in model.names:  # estimated or passed
             results["yaw_drift"] = known[6]
         # The interval that begins at this sample is on the soil of this sample.
         return results | after.memory | dict(v=ca.vertcat(after.v[0], traction))
@@ -106,7 +108,7 @@ def _build_step(name, model, bounds):
 def _init(model, guess, sigma):
     """The memory before the first sample, {name: array}."""
     guess = _GUESS | guess
-    sigma = _SIGMA_START | sigma
+    sigma = SIGMA_START | sigma
     return dict(
         m=np.array([guess[name] for name in model.joint_names]),
         P=np.diag(np.square([sigma[name] for name in model.joint_names])),
@@ -129,12 +131,12 @@ def _filter(name, model, passed=TractionInput.NONE, bounds=None):
         build_step=lambda choice: _build_step(
             name, model, model.bounds if bounds is None else bounds
         ),
-        init=lambda choice, guess, sigma=_SIGMA_START: _init(model, guess, sigma),
+        init=lambda choice, guess, sigma=SIGMA_START: _init(model, guess, sigma),
         settings=lambda scenario: tuning.variances_of(name, scenario),
         states=lambda choice: model.joint_names,
         n_sigma_w=lambda choice: model.n_s,
         traction_input=passed,
-        has_yaw_drift=_YAW_DRIFT in model.names,
+        has_yaw_drift=lambda choice: YAW_DRIFT in model.names,
     )
 
 

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real
 
-ProcessNoise = Literal["printed", "likelihood", "consistent", "tracking", "soft_soil"]
+ProcessNoise = Literal["printed", "consistent", "prediction", "tracking", "soft_soil"]
 SpeedModel = Literal["parameter", "input", "slipping"]
 
 

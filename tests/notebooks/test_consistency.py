@@ -96,7 +96,7 @@ def training_runs():
 def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, training_runs):
     """Beside it the likeliest W is too sure: innovations do not tell."""
     nees = {}
-    for name in ("consistent", "likelihood"):
+    for name in ("consistent", "prediction"):
         found = consistency.measure(
             Scenario(estimator=estimator, process_noise=name), training_runs
         )
@@ -105,7 +105,7 @@ def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, t
         if name == "consistent":
             ratios = np.sqrt(consistency.mean_square_errors(found).mean(axis=0))
             assert ((ratios > 0.75) & (ratios < 1.25)).all()
-    assert 0.9 < nees["consistent"] < most and nees["likelihood"] > 2 * most
+    assert 0.9 < nees["consistent"] < most and nees["prediction"] > 2 * most
 
 
 def test_the_search_for_consistency_prices_what_lies_outside_its_band(monkeypatch):

@@ -18,7 +18,7 @@ COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 MEASURED = ["x_meas_m", "y_meas_m"]
-MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
+MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=60.0)
 
 
 def simulated(**changes):

@@ -16,7 +16,7 @@ from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 
-PLAIN = rhec.Scenario(estimator="ekf", process_noise="likelihood", duration_s=20.0)
+PLAIN = rhec.Scenario(estimator="ekf", process_noise="prediction", duration_s=20.0)
 OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
 NAMED = {"allow_duplicate_io_names": True}
 
@@ -45,10 +45,10 @@ def test_ten_lines_steer_the_robot_to_its_path(estimator):
 def test_it_is_told_what_is_promised_and_remembers():
     """A step that checks its inputs against the settings, and counts the samples."""
     names = "memory s_0 x_ref u_ref lower upper Q QN R s covariance segments period_m speed_mps"
-    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 4), 1, 1, 1]
+    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 12), 1, 1, 1]
     names = [*names.split(), "disturbance"]
     given = {name: ca.SX.sym(name, *np.atleast_1d(size)) for name, size in zip(names, shapes)}
-    path = rhec.Path.racetrack(PLAIN.row_length_m, PLAIN.headland_radius_m)
+    path = rhec.Path.rows(PLAIN.row_length_m, PLAIN.headland_radius_m)
     expected = dict(lower=-0.1, upper=0.1, Q=PLAIN.q, QN=10 * np.array(PLAIN.q), R=PLAIN.r)
     expected |= dict(segments=path.segments.T, period_m=path.length_m, speed_mps=-0.5)
     wrong = sum(ca.sumsqr(given[name] - ca.DM(value)) for name, value in expected.items())

@@ -234,14 +234,15 @@ def sigma_v_and_w(**fields):
     return tuple(tuple(np.sqrt(settings[name]).round(12)) for name in "VW")
 
 
-def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
+def test_by_default_one_rule_picks_the_noise_of_both():
     printed = {
         name: sigma_v_and_w(estimator=name, process_noise="printed") for name in ("rhe", "ekf")
     }
-    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE) == sigma_v_and_w()
+    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE)
     assert printed["ekf"] == (paper.SIGMA_V, paper.SIGMA_W_EKF)
-    likeliest = sigma_v_and_w(estimator="ekf", process_noise="likelihood")
-    assert likeliest == sigma_v_and_w(estimator="ekf") != printed["ekf"]
+    for name in ("rhe", "ekf"):
+        predicting = sigma_v_and_w(estimator=name, process_noise="prediction")
+        assert predicting == sigma_v_and_w(estimator=name) != printed[name]
     # Another estimator brings its own default.
     scenario = dataclasses.replace(rhec.Scenario(), estimator="ekf")
     assert scenario == rhec.Scenario(estimator="ekf")
@@ -250,7 +251,7 @@ def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
 def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
     sigma_v, sigma_w = sigma_v_and_w(process_noise="consistent")
     assert sigma_v[3] > paper.SIGMA_V[3]
-    assert sigma_w == tuning.SIGMA_W["rhe"]["consistent"]
+    assert sigma_w == tuning.NOISES["rhe"]["consistent"].sigma_w
     own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), sigma_w=(0.5,) * 6)
     assert sigma_v_and_w(process_noise="consistent", **own) == tuple(own.values())
 
@@ -258,7 +259,7 @@ def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
     assert refusal(estimator="traction_oracle", process_noise="printed") == (
         "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
-        "of ('likelihood',)"
+        "of ('prediction',)"
     )
 
 
