@@ -85,7 +85,7 @@ def children_of(nannies):
     return found
 
 
-def wait(done, seconds=60):
+def wait(done, seconds=300):
     """Wait until a function's result is true."""
     deadline = time.monotonic() + seconds
     while not done():
