@@ -74,6 +74,7 @@ LOOPS |= {
             faults=(NO_GYRO, OFF),
         )
     ),
+    "yaw drift alone": Loop(dict(estimator="rhe_no_slip", yaw_drift=True), ("live",)),
     "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
     "everything else": Loop(EVERYTHING_ELSE, ("live",)),
     "own": Loop(dict(estimator=own_estimator()), ("live",)),

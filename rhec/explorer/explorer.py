@@ -28,6 +28,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.faults import SENSOR_CHANNELS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.tuning import Noise
 
 if TYPE_CHECKING:  # the browser draws the screen, so Matplotlib waits until a figure is asked for
     from matplotlib.figure import Figure
@@ -150,9 +151,9 @@ class Explorer(widgets.VBox):
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
-        tooltip = "process noise W of the estimators; the tab Estimator sets a custom W"
+        tooltip = "noise W and V of the estimators, by a rule; the tab Estimator sets custom ones"
         noise = values["process_noise"]
-        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise W", 158, tooltip)
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", 158, tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
@@ -333,15 +334,17 @@ class Explorer(widgets.VBox):
         self.screen.line = repr(self.runs[0].scenario)
 
     def _show_process_noise(self):
-        """Set the sliders of σ_W to the W in use; a custom W enables them."""
-        noise = self.process_noise.value
-        for place in range(6):
-            slider = self.inputs["sigma_w", place]
-            slider.disabled = noise != "custom"
-            if slider.disabled:
-                self.is_paused = True  # no run follows this change
-                slider.value = tuning.NOISES["rhe"][noise].sigma_w[place]
-                self.is_paused = False
+        """Set the sliders of σ_W and σ_V to the noise in use; a custom one enables them."""
+        rule = self.process_noise.value
+        # As the entries of a Noise are called, so are the sliders.
+        for name in Noise._fields:
+            for place in range(len(getattr(tuning.NOISES["rhe"]["printed"], name))):
+                slider = self.inputs[name, place]
+                slider.disabled = rule != "custom"
+                if slider.disabled:
+                    self.is_paused = True  # no run follows this change
+                    slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
+                    self.is_paused = False
 
     def _fold_sensors(self):
         """Hide the sliders of a gyro or a heading that the robot does not have."""

@@ -1,5 +1,7 @@
 """The paper's receding horizon estimator: RHE of the tracked robot, eq. (9)-(10), (14)-(15)."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -10,12 +12,11 @@ from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f, f_with_drift
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
-# Start-up: the paper's W; next to nothing for other quantities that a model estimates. The yaw
-# drift is unknown: 0.05 rad/m are two per cent of slip between the tracks.
-SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: 0.05}
+# Start-up: the paper's W; next to nothing for other quantities that a model estimates.
+SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: tuning.SIGMA_YAW_DRIFT}
 _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
@@ -43,6 +44,11 @@ _HELD = Model(
     outputs=("x_m", "y_m", "nu_mps", "omega_radps", "mu", "kappa"),
     f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
     max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
+)
+_HELD_DRIFTING = replace(
+    _HELD,
+    parameters=_HELD.parameters | {YAW_DRIFT: None},
+    f=lambda xi, u, p: f_with_drift(xi, u[0], ca.vertcat(p[0], u[1:], p[1])),
 )
 
 
@@ -133,8 +139,13 @@ def _sigma_w(scenario, speed_model, dt_s):
 
 
 def build_phases(choice):
-    """The phases and the step of the RHE of a Choice; with the yaw drift as a result of its own."""
-    phases = rhe.build_phases(window_of(choice))
+    """The phases and the step of the RHE of a Choice."""
+    return _phases_of(window_of(choice), choice)
+
+
+def _phases_of(window, choice):
+    """The phases and the step of a Window, with the yaw drift as a result of its own."""
+    phases = rhe.build_phases(window)
     if not choice.yaw_drift:
         return phases
     return phases | {name: _with_drift_apart(phases[name]) for name in ("feedback", "step")}
@@ -152,13 +163,17 @@ def _with_drift_apart(phase):
     )
 
 
+def _model_held(choice):
+    return _HELD_DRIFTING if choice.yaw_drift else _HELD
+
+
 def _window_held(choice):
-    return _window(_HELD, choice)
+    return _window(_model_held(choice), choice)
 
 
 def _build_held_step(choice):
     """The RHE with the traction held, as a Function (memory, z_N, V, W, m_0, P_0, traction)."""
-    step = rhe.build_phases(_window_held(choice))["step"]
+    step = _phases_of(_window_held(choice), choice)["step"]
     names = ("memory", "z_N", "V", "W", "m_0", "P_0")
     inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
     inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
@@ -171,18 +186,24 @@ def _build_held_step(choice):
     return ca.Function("held", [*inputs.values()], results, [*inputs], step.name_out(), options)
 
 
-def _held(name, traction_input):
+def _settings_held(scenario):
+    """The settings of an RHE with the traction held."""
+    names = _model_held(scenario).joint_names
+    P_0 = np.square([SIGMA_START[name] for name in names])
+    noise = tuning.variances_of(tuning.name_of_noise(scenario), scenario)
+    return noise | dict(P_0=P_0, m_0=np.zeros(len(names)))
+
+
+def _held(traction_input):
     return EstimatorRecord(
         build_step=_build_held_step,
         init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
-        settings=lambda scenario: dict(
-            **tuning.variances_of(name, scenario),
-            P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
-            m_0=np.zeros(_HELD.n_s),
-        ),
-        states=lambda choice: _HELD.joint_names,
-        n_sigma_w=lambda choice: 4,
+        settings=_settings_held,
+        states=lambda choice: _model_held(choice).joint_names,
+        n_sigma_w=lambda choice: _model_held(choice).n_s,
         traction_input=traction_input,
+        takes_yaw_drift=True,
+        has_yaw_drift=lambda choice: choice.yaw_drift,
     )
 
 
@@ -196,8 +217,9 @@ ESTIMATORS = {
         n_sigma_w=lambda choice: (
             speed_model_of(choice.speed_model, yaw_drift=choice.yaw_drift).n_sigma_w
         ),
+        takes_yaw_drift=True,
         has_yaw_drift=lambda choice: choice.yaw_drift,
     ),
-    "rhe_fixed_traction": _held("rhe_fixed_traction", TractionInput.FIELD_MEAN),
-    "rhe_no_slip": _held("rhe_no_slip", TractionInput.NONE),
+    "rhe_fixed_traction": _held(TractionInput.FIELD_MEAN),
+    "rhe_no_slip": _held(TractionInput.NONE),
 }

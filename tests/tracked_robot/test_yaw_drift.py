@@ -161,6 +161,11 @@ def test_the_rhe_without_a_standing_offset(fields):
     assert mean_error_m(yaw_drift=True, **fields) < 0.4 * mean_error_m()
 
 
+def test_an_rhe_without_slip_estimates_it_as_well():
+    without_slip = dict(estimator="rhe_no_slip")
+    assert mean_error_m(**without_slip, yaw_drift=True) < 0.4 * mean_error_m(**without_slip)
+
+
 @pytest.mark.parametrize("d", [-0.02, 0.02])
 def test_the_rhe_finds_the_drift_that_the_soil_has(d):
     """δ = (μ_r - μ_l) / (b μ), with μ_l = μ (1 - d/2) and μ_r = μ (1 + d/2): δ = d / b."""
@@ -227,7 +232,7 @@ def test_tracks_that_slip_have_no_yaw_drift(made):
         made(yaw_drift=True, speed_model="slipping")
 
 
-def test_only_the_rhe_has_the_option():
+def test_only_an_rhe_has_the_option():
     with pytest.raises(ValueError, match="^yaw_drift was True; for the estimator 'ekf' it should"):
         rhec.Scenario(yaw_drift=True, estimator="ekf")
 
