@@ -23,6 +23,7 @@ from rhec.explorer import controls, field_run
 from rhec.explorer.field_run import ZOOMS, colour_of, name_of
 from rhec.explorer.panels import packed
 from rhec.explorer.screen import CSS, Screen
+from rhec.files import replacing
 from rhec.simulation import closed_loop
 from rhec.simulation.faults import SENSOR_CHANNELS
 from rhec.simulation.scenario import Scenario
@@ -379,9 +380,11 @@ class Explorer(widgets.VBox):
         folder.mkdir(parents=True, exist_ok=True)
         for place, run in enumerate(self.runs, 1):
             estimator = name_of(run.scenario).lower().replace(" ", "_")
-            file = folder / _safe_name(f"{name}_{place}_{estimator}")
-            run.log.to_csv(f"{file}.csv", index=False)
-            run.log.to_parquet(f"{file}.parquet", index=False)
+            file = _safe_name(f"{name}_{place}_{estimator}")
+            with replacing(folder / f"{file}.csv") as unfinished:
+                run.log.to_csv(unfinished, index=False)
+            with replacing(folder / f"{file}.parquet") as unfinished:
+                run.log.to_parquet(unfinished, index=False)
         scenarios = [run.scenario for run in self.runs]
         style.save(self.figure(), name, scenarios, folder=folder)
         files = "CSV and Parquet of each run, the figure as PNG and PDF"
