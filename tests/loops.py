@@ -92,7 +92,8 @@ def unlike(scenario):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            scenario, seed=i, process_noise=scenario.process_noise or (None, "prediction")[i % 2],
+            scenario, seed=i,
+            process_noise=scenario.process_noise or ("printed", "prediction")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],

@@ -145,7 +145,7 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
     assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
-    assert "process_noise: printed or prediction" in shown
+    assert "process_noise: printed, consistent, prediction or tracking" in shown
     assert "-p seed 0" in shown
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import rhec
 from notebooks.further import traction_map, unknowns
+from notebooks.rivals import RIVALS
 
 SEEDS = 12
 EVERY_WORLD = [*unknowns.WORLDS, unknowns.POSTERIOR]
@@ -65,7 +66,8 @@ def test_every_robot_is_a_scenario_and_has_what_its_name_says():
         is_told = "told" in name or name == unknowns.ORACLE
         assert ("gyro" in name) == (scenario.sensors == ("gyro",))
         if not is_told:
-            drifts = scenario.yaw_drift or scenario.estimator == "yaw_drift_ekf"
+            drifting = [RIVALS[name] for name in ("yaw_drift_ekf", "rhe_no_slip_yaw_drift")]
+            drifts = scenario.yaw_drift or scenario.estimator in drifting
             assert drifts == ("yaw drift" in name or "both" in name)
 
 

@@ -260,7 +260,7 @@ def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
     assert refusal(estimator="bounded_ekf", process_noise="soft_soil") == (
         "process_noise was 'soft_soil'; for the estimator 'bounded_ekf' it should be None or one "
-        "of ('printed', 'prediction', 'tracking')"
+        "of ('printed', 'consistent', 'prediction', 'tracking')"
     )
 
 

@@ -47,7 +47,6 @@ SMALL = {
         | dict(unknown_fields=2, unknown_training=1, posterior_worlds=2),
         ("table_traction_worth", "table_consistency"),
     ),
-    "further/tolerance": Small(dict(fields=2), ("table_tolerance",)),
     "01_tutorial": Small(dict(seeds=2)),
     "04_scenario_b": Small(dict(seeds=8, beside=4, fields=4), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=4), ("table_scenario_a",)),
