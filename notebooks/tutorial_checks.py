@@ -20,7 +20,7 @@ from rhec.tracked_robot.path import advance
 from rhec.tracked_robot.terrain import Terrain
 
 SEEDS = range(100, 110)  # neither the tutorial nor calibration uses these
-SETTLED_S = 13.0
+SETTLED_S = 10.0
 OVERSHOOT_M = 0.06
 DRY = (0.9, 0.8)
 WET = (0.6, 0.5)

@@ -8,6 +8,7 @@ import casadi as ca
 from helpers import no_compiler, own_controller
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core.controller import rhc
 from rhec.simulation import closed_loop
@@ -49,7 +50,11 @@ EVERYTHING_ELSE = dict(
     guess_yaw_rad=0.2, process_noise="prediction", path=PATH,
 )  # fmt: skip
 
-LOOPS = {name: Loop(dict(estimator=name), ("live",) + ("in_c",) * (name in NO_C)) for name in NAMES}
+ESTIMATORS = dict(zip(NAMES, NAMES)) | RIVALS
+LOOPS = {
+    name: Loop(dict(estimator=estimator), ("live",) + ("in_c",) * (name in NO_C))
+    for name, estimator in ESTIMATORS.items()
+}
 LOOPS |= {
     "rhe": Loop({}),
     "delayed": Loop(dict(process_noise="printed", q=paper.Q1, command_delay=1, look_ahead_m=0.3)),
@@ -63,7 +68,6 @@ LOOPS |= {
     "slipping with a gyro": Loop(
         dict(speed_model="slipping", process_noise="consistent", sensors=("gyro",))
     ),
-    "side slip": Loop(dict(side_slip_rad=0.3, sensors=("gyro",))),
     "yaw drift": Loop(dict(yaw_drift=True, process_noise="printed", slip_difference=-0.1)),
     "yaw drift with a gyro": Loop(
         dict(
@@ -74,6 +78,7 @@ LOOPS |= {
             faults=(NO_GYRO, OFF),
         )
     ),
+    "yaw drift alone": Loop(dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), ("live",)),
     "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
     "everything else": Loop(EVERYTHING_ELSE, ("live",)),
     "own": Loop(dict(estimator=own_estimator()), ("live",)),
@@ -87,7 +92,8 @@ def unlike(scenario):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            scenario, seed=i, process_noise=scenario.process_noise or (None, "prediction")[i % 2],
+            scenario, seed=i,
+            process_noise=scenario.process_noise or ("printed", "prediction")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],

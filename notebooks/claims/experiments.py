@@ -15,6 +15,7 @@ from scipy import optimize
 
 import rhec
 from notebooks.claims.live_robot import LiveRobot
+from notebooks.rivals import RIVALS
 from notebooks.studies import timing
 from notebooks.studies.parallel import parallel_map
 from rhec import paper
@@ -267,7 +268,7 @@ def lowest_traction(process_noise, most=400):
 
     def lowest(values):
         fields = dict(zip(ranges, values)) | dict(seed=round(values[2]), duration_s=60.0)
-        choice = dict(estimator="augmented_ekf", process_noise=process_noise)
+        choice = dict(estimator=RIVALS["augmented_ekf"], process_noise=process_noise)
         columns = simulate(Scenario(**fields, **choice)).columns
         row = fields | dict(lowest=min(columns["mu_hat"].min(), columns["kappa_hat"].min()))
         rows.append(row)

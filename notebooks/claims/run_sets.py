@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.rivals import RIVALS, by_name
 from notebooks.studies.parallel import map_runs
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
@@ -68,18 +69,20 @@ def _like_rhe(estimator):
     does not estimate.
     """
 
+    noises = tuning.noises_of(by_name(estimator))
+
     def noise(name, entries):
         def of(process_noise, world):
-            if process_noise in tuning.NOISES[estimator]:
+            if process_noise in noises:
                 return None
             return getattr(tuning.NOISES["rhe"][process_noise], name)[:entries]
 
         return of
 
-    entries = len(tuning.NOISES[estimator]["printed"].sigma_w)
+    entries = len(noises["printed"].sigma_w)
     return dict(
-        estimator=estimator,
-        process_noise=lambda rule, world: rule if rule in tuning.NOISES[estimator] else None,
+        estimator=by_name(estimator),
+        process_noise=lambda rule, world: rule if rule in noises else None,
         sigma_w=noise("sigma_w", entries),
         sigma_v=noise("sigma_v", len(paper.SIGMA_V)),
     )
@@ -105,13 +108,15 @@ RUNS = {
     "no_slip_left": _LEFT | _like_rhe("rhe_no_slip"),
     "fixed_traction_left": _LEFT | _like_rhe("rhe_fixed_traction"),
     # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(estimator="yaw_drift_ekf", process_noise="prediction", duration_s=270.0)
+    "cautious": dict(
+        estimator=RIVALS["yaw_drift_ekf"], process_noise="prediction", duration_s=270.0
+    )
     | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
-    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "fixed_traction_constant": _CONSTANT | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "rhe_uncertain": _UNSURE,
-    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
-    "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
+    "no_slip_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_no_slip"]),
+    "fixed_traction_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "oracle_uncertain": _UNSURE | _ORACLE,
     "ltv_mpc": dict(controller=ltv_mpc.controller),
     "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
@@ -125,7 +130,7 @@ RUNS = {
     "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
     "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
     "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
-    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
 }
 LOGS = {
@@ -139,7 +144,7 @@ LOGS = {
     "ekf_path_yaw_rate": _PATH_YAW_RATE,
     "ekf_path_yaw_rate_undisturbed": _CONSTANT | _UNDISTURBED | _PATH_YAW_RATE,
     "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
-    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "augmented_ekf": dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "q2": dict(q=paper.Q2) | _ON_ROW,
     "q2_other_side": dict(q=paper.Q2) | _ON_ROW | _FROM_THE_OTHER_SIDE,

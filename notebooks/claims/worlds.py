@@ -16,6 +16,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 
+import rhec
 from notebooks.claims import evidence as looks
 from notebooks.claims import run_sets
 from notebooks.studies import which_worlds
@@ -51,7 +52,9 @@ def _noise(world, estimator):
     w = world.get("w_ekf" if estimator == "ekf" else "w_rhe", "prediction")
     if estimator in ("rhe", "ekf"):
         return dict(process_noise=None) | which_worlds.noise_of(estimator, w, world)
-    return dict(process_noise=w if w in tuning.NOISES.get(estimator, {}) else "prediction")
+    has_noises = isinstance(estimator, str | rhec.Estimator)
+    noises = tuning.noises_of(estimator) if has_noises else {}
+    return dict(process_noise=w if w in noises else "prediction")
 
 
 def _drive_s(fields, on_row):

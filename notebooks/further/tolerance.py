@@ -108,7 +108,8 @@ def _lap_s(scenario):
 def scenarios(world, loop, speed, seeds):
     """The Scenarios of a loop in a world, at a constant or a cautious speed, one a seed."""
     settings, caution = LOOPS[loop]
-    scenario = Scenario(**WORLDS[world] | settings)
+    # A short lap that turns to both sides.
+    scenario = Scenario(**dict(turns="figure_of_eight") | WORLDS[world] | settings)
     if speed == CAUTIOUS:
         scenario = replace(scenario, controller=cautious.controller(scenario, caution))
     return [replace(scenario, seed=seed) for seed in seeds]

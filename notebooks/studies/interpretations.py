@@ -215,8 +215,7 @@ def likelihood_profiles(factors, seeds=3):
 # One interpretation at a time
 
 # id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); G11, G12
-# and G14 concern what is reported, not what is driven; the effect of G15 and G16 is within 0.2 mm
-# (docs/interpretations.md)
+# and G14 concern what is reported, not what is driven; G15 and G16 are left out
 INTERPRETATIONS = {
     "G3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
     "G3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),

@@ -33,6 +33,7 @@ from notebooks.studies import abc_regression
 from notebooks.studies.parallel import map_runs
 from notebooks.studies.statistics import CONFIDENCE
 from rhec import paper
+from rhec.files import replacing
 from rhec.simulation.campaigns import store
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.metrics import SETTLING_SAMPLES
@@ -453,9 +454,13 @@ def read(file, fields=FIELDS):
     """A table of `drive` from a file; each world has so many fields."""
     table = pd.read_parquet(file).astype(float)
     columns = pd.MultiIndex.from_tuples([name.split(".") for name in table.columns])
+    return _indexed(table.set_axis(columns, axis=1), fields)
+
+
+def _indexed(table, fields):
+    """A table whose rows are worlds in order, so many fields each, with that index."""
     rows = np.arange(len(table))
-    index = pd.MultiIndex.from_arrays([rows // fields, rows % fields], names=_INDEX)
-    return table.set_axis(columns, axis=1).set_index(index)
+    return table.set_index(pd.MultiIndex.from_arrays([rows // fields, rows % fields], names=_INDEX))
 
 
 def prior_drives():
@@ -922,14 +927,11 @@ def drive_round(unit, first_world, folder):
         file = folder / f"{number:06d}_{hashlib.sha256(design).hexdigest()[:16]}.parquet"
         if not file.exists():
             table = kept(drive(worlds, FIRST_SEED + FIELDS * number))
-            unfinished = file.with_suffix(".unfinished")
-            write(table, unfinished)
-            unfinished.replace(file)
+            with replacing(file) as unfinished:
+                write(table, unfinished)
             print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
-        blocks.append(pd.read_parquet(file))
-    whole = folder / "round.unfinished"
-    pd.concat(blocks, ignore_index=True).to_parquet(whole, index=False)
-    return read(whole)
+        blocks.append(read(file))
+    return _indexed(pd.concat(blocks), FIELDS)
 
 
 def main():

@@ -3,7 +3,8 @@
 In one sample the blocks act in their order. A signal that is read before any block has written it
 comes from outside: it is *remembered*, with its value of one sample ago; or *drawn*, from a stream
 with a new value for each sample; or else a *setting*, which stays the same over a run. So a block
-more or less changes nothing else, and what is compiled is named by the blocks themselves.
+more or less changes nothing else, and what is compiled is named by the blocks themselves. A Part
+is a block with the first values, settings and streams that it needs.
 
     blocks = (
         Block(build_plant, (0.1,), remembers=("x",), draws=("noise",)),
@@ -15,6 +16,8 @@ more or less changes nothing else, and what is compiled is named by the blocks t
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -81,6 +84,49 @@ class Block:
     def wired(self) -> wiring.Wired:
         """Its Function, and the signals that this reads and writes."""
         return wiring.wired(self.function, self.reads, self.writes)
+
+
+class Part(NamedTuple):
+    """A Block, and what it brings along, so that nobody else has to know its inside."""
+
+    block: Block
+    first: Mapping[str, Any] = MappingProxyType({})  # {remembered signal: its first value}
+    settings: Mapping[str, Any] = MappingProxyType({})  # {setting: value}
+    # {drawn signal: function of (seed, samples, faults) that returns its rows (samples, n)}
+    streams: Mapping[str, Callable] = MappingProxyType({})
+
+
+def brought(parts, what) -> dict:
+    """What all Parts bring: their "first", "settings" or "streams", by name.
+
+    Raises:
+        ValueError: If two parts bring one name along.
+    """
+    found: dict = {}
+    for part in parts:
+        brings = getattr(part, what)
+        twice = found.keys() & brings.keys()
+        if twice:
+            raise ValueError(f"two parts bring {min(twice)!r} among their {what}")
+        found |= brings
+    return found
+
+
+def block_of(
+    build,
+    *arguments,
+    reads=MappingProxyType({}),
+    writes=MappingProxyType({}),
+    remembers=(),
+    draws=(),
+) -> Block:
+    """A Block, made once for its arguments: loops that are equal then share theirs."""
+    return _block(build, arguments, tuple(reads.items()), tuple(writes.items()), remembers, draws)
+
+
+@functools.lru_cache(maxsize=1024)
+def _block(build, arguments, reads, writes, remembers, draws):
+    return Block(build, arguments, dict(reads), dict(writes), remembers, draws)
 
 
 # Loops that differ in one block share the others, which take a third of a second to build.

@@ -79,9 +79,7 @@ def export(scenario):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator)
-    # An EKF receives the same traction as in the closed loop.
-    traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
-    settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
+    settings = setup.settings | dict(length_m=setup.path.length_m)
     del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
     stages = stages_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)

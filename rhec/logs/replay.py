@@ -62,7 +62,7 @@ from rhec.simulation.columns import (
 )
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import gyro_check, sensors, slipping
-from rhec.tracked_robot.choice import Choice, TractionInput
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.rhe import sigma_start, window_of
@@ -351,7 +351,7 @@ def replay_of(scenario):
         known = (*QUANTITIES, *(name for name in quantities[6:] if name in model.joint_names))
         structure = ("rhe", window_of(choice)._replace(quantities=known))
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
-    settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
+    settings = estimator_of(choice.estimator).settings(scenario)
     measured = measured_of(scenario.sensors)
     return Replay(
         model=model,
@@ -526,7 +526,7 @@ def replay_scenario(estimator, recording, fields):
 
 def _runs_without_truth(estimator):
     """Whether an estimator needs no truth, such as the traction."""
-    return estimator_of(estimator).traction_input is TractionInput.NONE
+    return not estimator_of(estimator).told
 
 
 # Any Model
@@ -680,8 +680,8 @@ def replay(
             in different rows and at different rates; a measured input is the mean since its
             previous measurement. `rhec.logs.recording` describes the treatment of faults of real
             logs.
-        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
-            a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
+        estimator: "rhe", "ekf", "bounded_ekf", a rhec.Estimator or its CasADi Function, as in
+            Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps

@@ -42,22 +42,19 @@ class Noise(NamedTuple):
     sigma_v: tuple
 
 
-# Walk of the yaw drift beside the paper's W [rad/m a sample].
-_YAW_DRIFT_WALK = 0.002
+# Before the first sample the yaw drift is unknown: two per cent of slip between the tracks [rad/m].
+SIGMA_YAW_DRIFT = 0.05
 
 
 def _printed():
     """The paper's noises: those of the RHE for every estimator that has as many states."""
     of_rhe = Noise(paper.SIGMA_W_RHE, paper.SIGMA_V)
-    without_traction = Noise(paper.SIGMA_W_RHE[:4], paper.SIGMA_V)
     return {
         "rhe": of_rhe,
-        # The yaw drift is not in the paper.
-        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, _YAW_DRIFT_WALK), of_rhe.sigma_v),
-        "rhe_fixed_traction": without_traction,
-        "rhe_no_slip": without_traction,
+        # The yaw drift is not in the paper. What the paper prints as W is P_0, too: each quantity
+        # may change in a sample by as much as is unknown of it at the start. So may this one.
+        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, SIGMA_YAW_DRIFT), of_rhe.sigma_v),
         "ekf": Noise(paper.SIGMA_W_EKF, paper.SIGMA_V),
-        "augmented_ekf": of_rhe,
         "bounded_ekf": of_rhe,
     }
 
@@ -67,10 +64,15 @@ def _numbers(text):
     return tuple(map(float, text.split()))
 
 
-def _noises():
-    """{estimator: {rule: Noise}} of the paper and of tuned.csv, in the order of RULES."""
-    found = {estimator: {"printed": noise} for estimator, noise in _printed().items()}
-    with FILE.open(encoding="utf-8", newline="") as file:
+def read(file, printed):
+    """{estimator: {rule: Noise}} of a table such as tuned.csv, in the order of RULES.
+
+    Args:
+        file: Its Path.
+        printed: {estimator: Noise} of the rule "printed".
+    """
+    found = {estimator: {"printed": noise} for estimator, noise in printed.items()}
+    with file.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             noise = Noise(_numbers(row["sigma_w"]), _numbers(row["sigma_v"]))
             found.setdefault(row["estimator"], {})[row["process_noise"]] = noise
@@ -80,7 +82,7 @@ def _noises():
     }
 
 
-NOISES = _noises()
+NOISES = read(FILE, _printed())
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
 # Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].
@@ -114,14 +116,19 @@ def process_noise_of(scenario):
     return scenario.process_noise or DEFAULT_RULE
 
 
+def noises_of(estimator):
+    """{rule: Noise} of an estimator, by its name or as it brings them along; {} if it has none."""
+    return NOISES.get(estimator, {}) if isinstance(estimator, str) else estimator.noises
+
+
 def noise_of(estimator, scenario):
     """The Noise of an estimator by the rule of a Scenario; what has none takes that of the RHE."""
-    return NOISES.get(estimator, NOISES["rhe"])[process_noise_of(scenario)]
+    return (noises_of(estimator) or NOISES["rhe"])[process_noise_of(scenario)]
 
 
 def name_of_noise(scenario):
     """Name in NOISES of a Scenario's estimator: an RHE with the yaw drift has noises of its own."""
-    return "rhe_yaw_drift" if scenario.yaw_drift else scenario.estimator
+    return f"{scenario.estimator}_yaw_drift" if scenario.yaw_drift else scenario.estimator
 
 
 def sigma_v_of(scenario):
@@ -143,7 +150,7 @@ def gyro_constants(sensors, sigma_gyro):
 
 
 def variances_of(name, scenario):
-    """The settings V and W of a Scenario's estimator, by its name."""
+    """The settings V and W of a Scenario's estimator, by its name or as it brings them along."""
     sigma_w = scenario.sigma_w
     if sigma_w is None:
         sigma_w = noise_of(name, scenario).sigma_w

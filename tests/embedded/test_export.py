@@ -22,6 +22,7 @@ from robots import DT, ROBOTS
 
 import rhec
 from notebooks.further.c_code import toolchain
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience
@@ -49,7 +50,7 @@ SCENARIOS = {
         ),
     ),
     "EKF": dict(estimator="ekf", process_noise="prediction"),
-    "fixed traction": dict(estimator="fixed_traction", mu_mean=0.7, kappa_mean=0.6),
+    "fixed traction": dict(estimator=RIVALS["fixed_traction"], mu_mean=0.7, kappa_mean=0.6),
 }
 
 
@@ -107,7 +108,7 @@ def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
     mean = closed_loop.set_up(scenario).terrain.mean
     assert np.max(mean) < 0.8
     source = (exported("fixed traction") / "rhec_scenario.c").read_text()
-    assert f".traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
+    assert f".mean_traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
 
 
 def spoilt(measured):
@@ -422,12 +423,11 @@ def solving_estimator():
         (
             rhec.Scenario(estimator="oracle"),
             "^estimator was 'oracle', which needs the truth; to export, it should be one of "
-            "'rhe', 'rhe_fixed_traction', 'rhe_no_slip', 'ekf', 'augmented_ekf', 'bounded_ekf', "
-            "'fixed_traction', 'yaw_drift_ekf' or a CasADi Function$",
+            "'rhe', 'ekf', 'bounded_ekf' or a CasADi Function$",
         ),
         (
-            rhec.Scenario(estimator="traction_oracle"),
-            "^estimator was 'traction_oracle', which needs the true traction",
+            rhec.Scenario(estimator=RIVALS["traction_oracle"]),
+            "^estimator was Estimator.'traction_oracle_step', .*, which needs the true traction",
         ),
         (
             rhec.Scenario(estimator=solving_estimator()),

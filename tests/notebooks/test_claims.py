@@ -10,6 +10,7 @@ from scipy import stats
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
+from notebooks.rivals import RIVALS
 from notebooks.studies import statistics
 from notebooks.studies.answer import RESULTS
 from notebooks.studies.parallel import map_runs
@@ -417,7 +418,7 @@ def test_a_rival_has_the_rhes_w_where_none_was_tuned_for_it():
     for id_, entries in (("no_slip", 4), ("fixed_traction", 4), ("bounded_ekf", 6)):
         for rule in statistics.CONDITIONS:
             (scenario,) = run_sets.scenarios(run_sets.RUNS[id_], rule, [0])
-            tuned = tuning.NOISES[scenario.estimator]
+            tuned = tuning.noises_of(scenario.estimator)
             if rule in tuned:
                 assert (scenario.process_noise, scenario.sigma_w) == (rule, None)
             else:
@@ -442,7 +443,7 @@ def errors(monkeypatch):
 
     def measure(scenarios, folder=None):
         def error(scenario):
-            gain = chosen["advantage"] * (scenario.estimator == "rhe_no_slip")
+            gain = chosen["advantage"] * (scenario.estimator == RIVALS["rhe_no_slip"])
             return 1 + gain + 0.1 * np.random.default_rng(scenario.seed).normal()
 
         scenarios = scenarios["runs"]
@@ -928,7 +929,7 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
 
 @pytest.mark.parametrize("w", ["prediction", "free", "fitted", "printed"])
 def test_a_rival_has_a_w_of_its_own_in_a_world_whose_rhe_has_another(w):
-    noise = worlds._noise(dict(w_rhe=w, sigma_rhe_m=0.1), "rhe_no_slip")
+    noise = worlds._noise(dict(w_rhe=w, sigma_rhe_m=0.1), RIVALS["rhe_no_slip"])
     assert noise == dict(process_noise=w if w in ("prediction", "printed") else "prediction")
 
 

@@ -35,7 +35,6 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
             z_N=(x, 0, 0.45, 0),
             V=np.square(paper.SIGMA_V),
             W=np.square([sigma_x_m, sigma_x_m, sigma_theta, 1e-6]),
-            traction=(1, 1),
         )
         m, x = result["memory"], x + DT * 0.45
     (row,) = interpretations.ekf_on_a_straight([sigma_x_m], sigma_theta).itertuples()

@@ -9,7 +9,13 @@ import pytest
 import rhec
 from notebooks.further import tolerance
 
-SHORT = dict(row_length_m=6.0, headland_radius_m=6.0, start_offset_m=0.1, estimator="oracle")
+SHORT = dict(
+    turns="figure_of_eight",
+    row_length_m=6.0,
+    headland_radius_m=6.0,
+    start_offset_m=0.1,
+    estimator="oracle",
+)
 DRIVE = rhec.Scenario(**SHORT, duration_s=150.0)
 
 

@@ -11,6 +11,7 @@ import pytest
 from helpers import own_controller
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper, style
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
@@ -34,7 +35,7 @@ COMMAND = dict(command=(1, 1))
 # In the loop
 
 
-@pytest.mark.parametrize("estimator", ["oracle", "ekf", "yaw_drift_ekf"])
+@pytest.mark.parametrize("estimator", ["oracle", "ekf", RIVALS["yaw_drift_ekf"]], ids=str)
 def test_ten_lines_steer_the_robot_to_its_path(estimator):
     log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=50.0)).log
     assert log["ok"].all() and (log["kkt_rhc"] == 0).all()
@@ -82,7 +83,7 @@ def test_the_loop_cancels_the_yaw_drift_for_a_step_that_does_not_take_it():
     for name, command in laws.items():
         taken = {key: each for key, each in given.items() if name != "plain" or key == "upper"}
         step = ca.Function(name, [*taken.values()], [command], [*taken], ["command"])
-        drifting = dict(estimator="yaw_drift_ekf", controller=rhec.Controller(step))
+        drifting = dict(estimator=RIVALS["yaw_drift_ekf"], controller=rhec.Controller(step))
         runs[name] = rhec.simulate(dataclasses.replace(PLAIN, **drifting)).log
     pd.testing.assert_frame_equal(runs["plain"], runs["cancels"])
     assert runs["plain"]["omega_cmd_radps"].nunique() > 50

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
@@ -81,7 +82,6 @@ OUT_OF_RANGE = [
     ("input_reference", None),
     ("gyro_scale", -1.0),
     ("gyro_sigma_radps", -0.1),
-    ("side_slip_time_s", 0.0),
 ]
 DEAD_GYRO = (rhec.Fault(kind="dead", channel="gyro"),)
 SENTENCES = [
@@ -89,6 +89,7 @@ SENTENCES = [
     (dict(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
     (dict(q=(1, 1, -1)), "q[2] was -1; it should be at least 0"),
     (dict(sensors=("gyro",), estimator="ekf"), "sensors was"),
+    (dict(sensors=("gyro", "gyro")), "it should name each sensor once"),
     (dict(sensors=("heading",), faults=DEAD_GYRO), "with a gyro that fails"),
     (dict(faults=DEAD_GYRO), "sensors should have 'gyro', too"),
 ]
@@ -219,7 +220,7 @@ def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
         ("rhe", "parameter", 6),
         ("rhe", "input", 5),
         ("ekf", "parameter", 4),
-        ("traction_oracle", "input", 4),
+        (RIVALS["traction_oracle"], "input", 4),
     ):
         rhec.Scenario(estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * entries)
         assert f"it should have {entries} entries" in refusal(
@@ -257,9 +258,9 @@ def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
 
 
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
-    assert refusal(estimator="traction_oracle", process_noise="printed") == (
-        "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
-        "of ('prediction',)"
+    assert refusal(estimator="bounded_ekf", process_noise="soft_soil") == (
+        "process_noise was 'soft_soil'; for the estimator 'bounded_ekf' it should be None or one "
+        "of ('printed', 'consistent', 'prediction', 'tracking')"
     )
 
 
