@@ -225,22 +225,14 @@ def _worlds(folder):
     if not file.exists():
         return {}
     rows = pd.read_csv(file)
-    rows = rows[rows["worlds"] == "posterior"].set_index("rule for W")
+    rows = rows[rows["turns"] == "own"].set_index("rule for W")
     found = {}
-    for rule, name in _RULES.items():
-        of_rule = rows[rows.index.isin([rule, name])]
-        if len(of_rule):
-            row = of_rule.iloc[0]
-            ekf_m = float(str(row["error, EKF [m]"]).split()[0])
-            found[rule] = _EKF_LOST if is_lost(ekf_m) else _share_in_percent(row)
+    for rule in _RULES:
+        row = rows.loc[rule]
+        ends = f"{100 * row['low']:.0f}, {100 * row['high']:.0f}"
+        share = f"{100 * row['RHE better']:.0f} % [{ends}]"
+        found[rule] = _EKF_LOST if is_lost(row["EKF [m]"]) else share
     return found
-
-
-def _share_in_percent(row):
-    """The text "0.540 [0.468, 0.611]" as "54 % [47, 61]"."""
-    text = str(row["worlds with less error"]).replace("[", "").replace("]", "").replace(",", "")
-    value, low, high = (100 * float(number) for number in text.split())
-    return f"{value:.0f} % [{low:.0f}, {high:.0f}]"
 
 
 # All numbers

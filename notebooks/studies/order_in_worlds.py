@@ -168,7 +168,8 @@ def on_pattern(world, turns):
 def drive_by_rule(worlds):
     """Drive worlds by each rule, on their own paths and on each of PATTERNS.
 
-    The fields of a world are the same for all rules, and on all of PATTERNS, where it has one.
+    RHE and EKF have the same fields and the same noise, which are those of all rules, too. A
+    world has two fields on its own path, and one on each of PATTERNS.
 
     Args:
         worlds: Of `with_noises`.
@@ -181,7 +182,7 @@ def drive_by_rule(worlds):
     for turns in (OWN, *PATTERNS):
         driven = [on_pattern(world, turns) for world in worlds]
         fields = which_worlds.FIELDS if turns == OWN else 1
-        table = which_worlds.drive(driven, UNUSED_SEED, VARIANTS, fields)
+        table = which_worlds.drive(driven, UNUSED_SEED, VARIANTS, fields, paired=True)
         for variant in VARIANTS:
             tables[f"{turns} {variant}"] = table[variant][list(_KEPT)]
     return pd.concat(tables, axis=1).astype(np.float16)
@@ -336,7 +337,7 @@ def drive_effects(rows=EFFECT_ROWS):
     ]
     seeds = np.tile(np.arange(rows), len(unit))
     drives = [
-        which_worlds.scenario(world, variant, _EFFECT_SEED + int(seed))
+        which_worlds.scenario(world, variant, _EFFECT_SEED + int(seed), paired=True)
         for world, seed in zip(fields, seeds)
         for variant in _EFFECT_VARIANTS.values()
     ]

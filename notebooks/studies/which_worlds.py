@@ -341,15 +341,23 @@ for _w in W_RHE:
     VARIANTS[f"q2_{_w}"] = Variant("rhe", _w, paper.Q2, first_row=True)
 
 
-def scenario(fields, variant, seed):
-    """The Scenario of one drive of a Variant in a world, on the field of this seed."""
+def scenario(fields, variant, seed, paired=False):
+    """The Scenario of one drive of a Variant in a world.
+
+    Args:
+        fields: Of the world (`fields_of`).
+        variant: The Variant.
+        seed: Of its field, and of the noise.
+        paired: Whether RHE and EKF have the same noise. Else the EKF has one of its own, as in the
+            paper, whose drives were at two times.
+    """
     noise = noise_of(variant.estimator, variant.w, fields)
     of_world = {name: of for name, of in fields.items() if name not in NOT_OF_SCENARIO}
     if variant.first_row:
         of_world |= dict(duration_s=duration_s(1.0 - 1e-9, fields))
     names = dict(estimator=variant.estimator, q=variant.q)
     drive = Scenario(**of_world | noise | names, seed=seed)
-    if variant.estimator == "rhe":
+    if paired or variant.estimator == "rhe":
         return drive
     soil = set_up(drive).terrain
     return dataclasses.replace(drive, terrain=soil, seed=seed + _OTHER_TIME)
@@ -396,7 +404,7 @@ def count_excursions(run, settled_s):
     return int(excursions), float(steps_m[counted[1:]].sum())
 
 
-def drive(worlds, first_seed, variants=None, fields=FIELDS):
+def drive(worlds, first_seed, variants=None, fields=FIELDS, paired=False):
     """Drive worlds, each on so many fields.
 
     Args:
@@ -404,6 +412,7 @@ def drive(worlds, first_seed, variants=None, fields=FIELDS):
         first_seed: Of the first world's first field.
         variants: {name: Variant}; None: VARIANTS.
         fields: How many of each world.
+        paired: As for `scenario`.
 
     Returns:
         DataFrame, one row a world and field, with columns (variant, what `measured` names).
@@ -413,7 +422,7 @@ def drive(worlds, first_seed, variants=None, fields=FIELDS):
         [range(len(worlds)), range(fields), variants], names=[*_INDEX, "variant"]
     )
     drives = [
-        scenario(worlds[world], variants[variant], first_seed + fields * world + field)
+        scenario(worlds[world], variants[variant], first_seed + fields * world + field, paired)
         for world, field, variant in index
     ]
     table = pd.DataFrame(map_runs(measured, drives), index)
