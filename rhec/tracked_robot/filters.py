@@ -64,6 +64,7 @@ def _pose_and_speed(f, passed, discrete=False):
         outputs=_ROBOT.outputs,
         f=f,
         max_measurement=_ROBOT.limits,
+        sigma_held=_ROBOT.sigma_held,
         discrete=discrete,
     )
 

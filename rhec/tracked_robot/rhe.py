@@ -42,6 +42,7 @@ _HELD = Model(
     outputs=("x_m", "y_m", "nu_mps", "omega_radps", "mu", "kappa"),
     f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
     max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
+    sigma_held=dict.fromkeys(("mu", "kappa"), 1.0) | SPEED_MODELS["parameter"].model.sigma_held,
 )
 
 

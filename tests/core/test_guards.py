@@ -13,14 +13,14 @@ from rhec.core.estimator import innovation_gate
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.simulation.columns import MEASUREMENTS
 
-DRIVES = 2
-NIGHTLY_DRIVES = 24
+DRIVES = range(2)
+NIGHTLY_DRIVES = range(24)
 SAMPLE = [case for i, case in enumerate(table.cases()) if i % 58 == 0]
 
 
-def assert_kept(case, n):
+def assert_kept(case, seeds):
     """Lost no more often than the EKF, no farther off, back no later; `ok` False where lost."""
-    ours, ekf, moved = table.rows_of(case, n)
+    ours, ekf, moved = table.rows_of(case, seeds)
     assert not table.breaches(ours, ekf, moved), (ours, ekf, moved)
 
 

@@ -9,6 +9,7 @@ feedback. What it says then reaches all phases by `with_guard`:
 
 - feedback solves with what is used; its `ok` is 0 where the sample contradicts the prediction;
 - expand keeps the window, or restarts it, and remembers what was used;
+- the newest interval is linearised at its input as it is used (`newest_interval`);
 - shift and linearise have the noise that was used at each node: Q of the interval before it, where
   process noise acts within the window (`window_noise`).
 
@@ -27,6 +28,9 @@ The words, here and there:
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.estimator import newest_interval
+
+ITERATED = "iterated_feedback"  # the feedback of later iterations on a sample, if it is another
 
 # The noise Q of the window's intervals, which is remembered where process noise acts within it.
 
@@ -83,7 +87,9 @@ def _wrap_linearise(window, linearise_of_rhe, symbols):
 def _wrap_feedback(window, feedback_of_rhe, symbols):
     judge = window.judge
     function = judge.build(window)
-    shapes = _shapes(feedback_of_rhe) | _shapes(function)
+    intervals = newest_interval.build(window, judge) if window.at_measured_input else None
+    shapes = _shapes(feedback_of_rhe) | _shapes(function, *newest_interval.VARIANTS)
+    shapes |= newest_interval.needs(window) if intervals else {}
     # The process noise of the sample has the name of the one by which the arrival cost grows.
     if window.noisy:
         shapes["W"] = shapes.pop("Q")
@@ -92,7 +98,11 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
     def feedback(**inputs):
         used = dict(Q_used=inputs["W"]) if window.noisy else {}
         given = inputs | dict(Q=inputs.get("W"))
+        if intervals:
+            given |= intervals(**select_inputs(intervals, given))
         verdict = function(**select_inputs(function, given))
+        chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
+        given = newest_interval.replaced(given, chosen)
         given["z_N"] = verdict["z_used"]
         given["P_N"] = verdict.pop("P_used")
         given["m_N"] = verdict.pop("m_used")
@@ -100,10 +110,25 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
             given["Q_window"] = whole_noise(window, given | used)["Q"]
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
         concluded = judge.conclude(window, inputs, verdict, result)
-        del verdict["agrees"]
-        return result | verdict | used | concluded
+        for name in ("agrees", "as_measured", "is_rejected"):
+            del verdict[name]
+        taken = {f"{name}_taken": piece for name, piece in chosen.items()}
+        return result | verdict | used | concluded | taken
 
     return feedback
+
+
+def _first_and_later(window, feedback, symbols):
+    """The phase "feedback", and the one of later iterations on a sample, if it is another."""
+    if not window.at_measured_input:
+        return dict(feedback=feedback)
+    shapes = _shapes(feedback, "iterated")
+
+    @casadi_function("measured_feedback", symbols, **shapes)
+    def first(**inputs):
+        return feedback(**inputs, iterated=0)
+
+    return {"feedback": first, ITERATED: feedback}
 
 
 def _wrap_expand(window, expand_of_rhe, symbols):
@@ -115,9 +140,13 @@ def _wrap_expand(window, expand_of_rhe, symbols):
         shapes |= dict(Q_used=window.noise["Q"])
     shapes |= {f"{name}_after": shape for name, shape in pieces.items()}
     shapes |= _shapes(restarted, "goes_on", "Q", *shapes) | dict(restart=(1, 1))
+    pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
+    shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
 
     @casadi_function("guarded_expand", symbols, **shapes)
     def expand(**inputs):
+        taken = {name: inputs[f"{name}_taken"] for name in pieces_of_newest}
+        inputs = newest_interval.replaced(inputs, taken)
         noises = whole_noise(window, inputs)
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
@@ -140,9 +169,10 @@ def with_guard(window, phases, symbols):
         symbols: SX or MX, of the Functions that call others.
     """
     memory = noise_memory(window) | window.judge.memory(window)
+    feedback = _wrap_feedback(window, phases["feedback"], symbols)
     return dict(
         shift=_wrap_shift(window, phases["shift"], memory, symbols),
         linearise=_wrap_linearise(window, phases["linearise"], symbols),
-        feedback=_wrap_feedback(window, phases["feedback"], symbols),
+        **_first_and_later(window, feedback, symbols),
         expand=_wrap_expand(window, phases["expand"], symbols),
     )

@@ -11,7 +11,9 @@ later step returns. A sample has three chances:
 1. It is used as it was measured, if d is within the limit.
 2. It is used without those measured inputs that differ from the last ones, if d is then: an encoder
    may be wrong where the position is not.
-3. Otherwise it is rejected: the judged outputs count as missing, and so do such inputs.
+3. Otherwise it is rejected: the judged outputs count as missing, and so do inputs beyond those of
+   the window. An input that the window has had before, such as a steering angle that changes sides,
+   is no sign of a fault.
 
 While samples are rejected, or have no judged output, S is not that of the prediction, whose window
 loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
@@ -31,12 +33,12 @@ lets grow at the estimate what the model does not: such intervals tell of a stat
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
-from rhec.core.estimator import new_start
+from rhec.core.estimator import new_start, newest_interval
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
@@ -113,42 +115,52 @@ class InnovationGate:
         limit = self.limit(window)
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
-        shapes |= dict(z_N=(len(window.model.outputs), 1))
+        shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
         if self.sees_half_turns(window):
             shapes |= dict(age=(1, 1))  # for `conclude`
+        if window.at_measured_input:
+            shapes |= newest_interval.variants_of(window)
 
         @casadi_function("gate", ca.SX, **shapes)
-        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, age=None, **values):
+        def gate(m_0, P_0, z_N, v, age=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
-            kept = _with_inputs_as_before(interval, z_N, v_N, limit * values["V"])
-            measured = window.predict_input(B_N, m_N, P_N, v_N, z_N, **values)
-            without = window.predict_input(B_N, m_N, P_N, v_N, kept, **values)
-            H = ca.vertcat(ca.SX(0, interval.n_s), *(output.H(s_N) for output in outputs))
+            noise = {name: values.pop(name) for name in window.noise}
+            prepared, at_measured, at_kept = _predictions(window, values)
+            kept = _with_inputs_as_before(interval, z_N, prepared.v, limit * noise["V"])
+            in_range = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
+            measured = at_measured.given(window, z_N, noise)
+            without = prepared.given(window, kept, noise)
+            H = [output.H(at_measured.s) for output in outputs]
+            H = ca.vertcat(ca.SX(0, interval.n_s), *H)
             has = ca.vertcat(*(output.is_valid(z_N) for output in outputs))
-            V = ca.vertcat(*(values["V"][output.row] for output in outputs))
+            V = ca.vertcat(*(noise["V"][output.row] for output in outputs))
             S = H @ measured[1] @ H.T + ca.diag(V)
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
-            y_measured, y_without = (
-                new_start.innovation(outputs, z_N, m, s_N) for m, _ in (measured, without)
-            )
+            y_measured = new_start.innovation(outputs, z_N, measured[0], at_measured.s)
+            y_without = new_start.innovation(outputs, z_N, without[0], prepared.s)
             agrees = _distance(y_measured, grown, has) <= limit  # 0 where it is NaN
             more = H @ (without[1] - measured[1]) @ H.T
             agrees_without = _distance(y_without, grown + more, has) <= limit
             is_used = ca.logic_or(agrees, agrees_without)
             # m_N knows nothing of bounds; s_N follows from the last solution, which does.
-            s, _ = window.predict_input(B_N, s_N, P_N, v_N, kept, **values)
+            s_N = at_kept.s
+            s, _ = at_kept._replace(m=s_N).given(window, in_range, noise)
             y = new_start.innovation(outputs, z_N, s, s_N)
             can_restart = new_start.fits(window, outputs, s, s_N, y)
             after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
-            is_used = ca.logic_or(is_used, restart)
-            rejected = _without(outputs, kept)
+            rejected = ca.if_else(restart, in_range, _without(outputs, in_range))
             z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
-            m, P = new_start.anew(window, outputs, s_N, P_N, y, m_0, P_0)
+            m, P = new_start.anew(window, outputs, s_N, at_kept.P, y, m_0, P_0)
+            as_used = _chosen(agrees, at_measured, is_used, prepared, at_kept)
+            is_rejected = 1 - is_used
+            is_used = ca.logic_or(is_used, restart)
             return dict(
                 z_used=z_used,
-                m_used=ca.if_else(restart, m, m_N),
-                P_used=ca.if_else(restart, P, P_N),
+                m_used=ca.if_else(restart, m, as_used.m),
+                P_used=ca.if_else(restart, P, as_used.P),
+                as_measured=agrees,
+                is_rejected=is_rejected,
                 # The QP of a window with bounds of states knows nothing of the restart.
                 agrees=is_used * (1 - restart * bool(window.model.state_bounds)),
                 restart=restart,
@@ -157,6 +169,18 @@ class InnovationGate:
             )
 
         return gate
+
+    def build_kept(self, window):
+        """The Function (z_N, v, V) -> the sample with the inputs that are kept if it is rejected."""
+        n_z = len(window.model.outputs)
+        shapes = dict(z_N=(n_z, 1), v=window.pieces.v, V=(n_z, 1))
+
+        @casadi_function("kept_inputs", ca.SX, **shapes)
+        def kept(z_N, v, V):
+            variances = self.limit(window) * V
+            return dict(z_kept=_with_inputs_of_window(window.interval, z_N, v, variances))
+
+        return kept
 
     def _report(self, window, z_used):
         """`accepted` (n,) of the n outputs that are reported, by name, if any."""
@@ -208,6 +232,38 @@ class InnovationGate:
         return new_start.build(window, self.outputs(window), where, after)
 
 
+class _Prediction(NamedTuple):
+    """A prediction of the newest node before its sample."""
+
+    s: Any  # (n_s,) end of the newest interval, which follows the last solution
+    v: Any  # (n_v,) its inputs
+    B: Any  # (n_s, n_v) ∂s/∂v
+    m: Any  # (n_s,) mean
+    P: Any  # (n_s, n_s) covariance
+
+    def given(self, window, z, noise):
+        """Mean and covariance, with what z says about the inputs."""
+        return window.predict_input(self.B, self.m, self.P, self.v, z, **noise)
+
+
+def _predictions(window, values):
+    """As it was prepared; with the measured inputs; with those kept of a rejected sample."""
+    prepared = _Prediction(*(values[name] for name in newest_interval.PIECES))
+    if not window.at_measured_input:
+        return prepared, prepared, prepared
+    variants = [values[name] for name in newest_interval.VARIANTS]
+    n = len(newest_interval.PIECES)
+    return prepared, _Prediction(*variants[:n]), _Prediction(*variants[n:])
+
+
+def _chosen(is_first, first, is_second, second, third):
+    """The first of three predictions, the second or the third."""
+    if first is third:  # all are the same
+        return first
+    others = (ca.if_else(is_second, *pieces) for pieces in zip(second, third))
+    return _Prediction(*(ca.if_else(is_first, *pair) for pair in zip(first, others)))
+
+
 def patience(N):
     """Number of samples rejected in a row after which a window of N intervals restarts."""
     return max(TUNED.least_patience, TUNED.windows_of_patience * N)
@@ -236,6 +292,19 @@ def _with_inputs_as_before(interval, z, v, variances):
     kept = ca.SX(z)
     for place, (row, _) in interval.input_outputs.items():
         stays = (z[row] - v[place]) ** 2 <= 2 * variances[row]
+        kept[row] = ca.if_else(stays, z[row], ca.DM.nan())
+    return kept
+
+
+def _with_inputs_of_window(interval, z, v, variances):
+    """The sample z (n_z,) with NaN for measured inputs beyond those of the window, v (n_v, N).
+
+    They are beyond them where the square of the distance exceeds twice the variances (n_z,).
+    """
+    kept = ca.SX(z)
+    for place, (row, _) in interval.input_outputs.items():
+        nearest = ca.fmin(ca.fmax(z[row], ca.mmin(v[place, :])), ca.mmax(v[place, :]))
+        stays = (z[row] - nearest) ** 2 <= 2 * variances[row]
         kept[row] = ca.if_else(stays, z[row], ca.DM.nan())
     return kept
 
