@@ -191,6 +191,7 @@ class Kind(NamedTuple):
     sigma_v: tuple = SIGMA_V
     sigma_w: float = 0.005
     heading: bool = True  # whether its Model names it
+    sigma_held: dict = {}  # how inputs change in a sample that does not measure them
 
 
 BICYCLE = Kind(bicycle, {"offset": (-0.1, 0.1)}, (0.0,), (0.08,), (-0.08, 0.08), 1)
@@ -200,10 +201,10 @@ KINDS = {
     "bicycle": BICYCLE,
     "unicycle": UNICYCLE,
     "paper": Kind(unicycle, {}, speed=0.5, change=0.0),
-    "jumping bicycle, 2 m/s": BICYCLE._replace(speed=2.0, turn=jumping(0.5), **FINE),
-    "jumping bicycle, 3 m/s": BICYCLE._replace(speed=3.0, turn=jumping(0.5), **FINE),
-    "jumping bicycle, 4 m/s": BICYCLE._replace(speed=4.0, turn=jumping(0.3), **FINE),
-    "jumping unicycle, 2 m/s": UNICYCLE._replace(speed=2.0, turn=jumping(3.0), **FINE),
+    "jumping bicycle, 2 m/s": BICYCLE._replace(speed=2.0, turn=jumping(0.5), sigma_held={"turn": 0.5}, **FINE),
+    "jumping bicycle, 3 m/s": BICYCLE._replace(speed=3.0, turn=jumping(0.5), sigma_held={"turn": 0.5}, **FINE),
+    "jumping bicycle, 4 m/s": BICYCLE._replace(speed=4.0, turn=jumping(0.3), sigma_held={"turn": 0.3}, **FINE),
+    "jumping unicycle, 2 m/s": UNICYCLE._replace(speed=2.0, turn=jumping(3.0), sigma_held={"turn": 3.0}, **FINE),
 }
 TURNED = "turned round"
 STANDS = "stands 26 s"
@@ -257,6 +258,7 @@ def model_of(name):
         outputs=("x", "y", "speed", "turn"),
         f=kind.f,
         heading="yaw" if kind.heading else None,
+        sigma_held=kind.sigma_held,
     )
 
 

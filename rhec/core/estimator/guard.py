@@ -28,7 +28,7 @@ The words, here and there:
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
-from rhec.core.estimator import newest_interval
+from rhec.core.estimator import newest_interval, noise_level
 
 ITERATED = "iterated_feedback"  # the feedback of later iterations on a sample, if it is another
 
@@ -57,7 +57,16 @@ def _shapes(function, *without):
 
 def _call(function, values):
     """A Function of these values, in which Q is that of all intervals."""
-    return function(**select_inputs(function, values | dict(Q=values.get("Q_window"))))
+    values = values | dict(Q=values.get("Q_window"))
+    arguments = [values[name] for name in function.name_in()]
+    # Inlined, an MX Function does not copy its results into those of the one around it.
+    results = function.call(arguments, function.is_a("MXFunction"), False)
+    return dict(zip(function.name_out(), results))
+
+
+def noise_as_used(window, values, scale):
+    """`values` with the variances V of a time when the noise had this scale."""
+    return values | dict(V=noise_level.scaled(window, values["V"], ca.fmax(scale, 1)))
 
 
 def _wrap_shift(window, shift_of_rhe, memory, symbols):
@@ -67,19 +76,17 @@ def _wrap_shift(window, shift_of_rhe, memory, symbols):
         if window.noisy:  # the newest column is not known before the feedback
             Q = inputs["Q_window"]
             pieces["Q_window"] = ca.horzcat(Q[:, 1:], Q[:, -1])
-        return _call(shift_of_rhe, inputs) | pieces
+        return _call(shift_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"])) | pieces
 
     return shift
 
 
 def _wrap_linearise(window, linearise_of_rhe, symbols):
-    if not window.noisy:
-        return linearise_of_rhe
-    shapes = _shapes(linearise_of_rhe, "Q") | noise_memory(window)
+    shapes = _shapes(linearise_of_rhe, "Q") | noise_memory(window) | dict(noise_scale=(1, 1))
 
     @casadi_function("guarded_linearise", symbols, **shapes)
     def linearise(**inputs):
-        return _call(linearise_of_rhe, inputs)
+        return _call(linearise_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"]))
 
     return linearise
 
@@ -103,6 +110,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         verdict = function(**select_inputs(function, given))
         chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
         given = newest_interval.replaced(given, chosen)
+        given = noise_as_used(window, given, verdict["scale_used"])
         given["z_N"] = verdict["z_used"]
         given["P_N"] = verdict.pop("P_used")
         given["m_N"] = verdict.pop("m_used")
@@ -135,11 +143,11 @@ def _wrap_expand(window, expand_of_rhe, symbols):
     restarted = window.judge.build_restarted(window)
     pieces = window.judge.memory(window)
     shapes = _shapes(expand_of_rhe, "z_N", "Q") | noise_memory(window)
-    shapes |= dict(z_used=expand_of_rhe.sparsity_in("z_N"), kept=(1, 1))
+    shapes |= dict(z_used=expand_of_rhe.sparsity_in("z_N"), kept=(1, 1), scale_used=(1, 1))
     if window.noisy:
         shapes |= dict(Q_used=window.noise["Q"])
     shapes |= {f"{name}_after": shape for name, shape in pieces.items()}
-    shapes |= _shapes(restarted, "goes_on", "Q", *shapes) | dict(restart=(1, 1))
+    shapes |= _shapes(restarted, "goes_on", "Q", *shapes)
     pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
     shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
 
@@ -147,13 +155,15 @@ def _wrap_expand(window, expand_of_rhe, symbols):
     def expand(**inputs):
         taken = {name: inputs[f"{name}_taken"] for name in pieces_of_newest}
         inputs = newest_interval.replaced(inputs, taken)
+        inputs = noise_as_used(window, inputs, inputs["scale_used"])
         noises = whole_noise(window, inputs)
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         kkt = ca.if_else(inputs["ok"], result.pop("kkt"), ca.DM.nan())
         memory = result | {f"{name}_window": value for name, value in noises.items()}
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
-        newest = dict(Q=inputs.get("Q_used"), goes_on=1 - inputs["restart"])
+        is_alone = ca.logic_or(inputs["restart"], inputs["kept"] * (inputs["settling_after"] > 0))
+        newest = dict(Q=inputs.get("Q_used"), goes_on=1 - is_alone)
         memory |= restarted(**select_inputs(restarted, inputs | memory | newest))
         return memory | dict(kkt=kkt)
 

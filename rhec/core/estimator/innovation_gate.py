@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
-from rhec.core.estimator import new_start, newest_interval
+from rhec.core.estimator import half_turn, new_start, newest_interval, noise_level
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
@@ -57,6 +57,8 @@ class Tuned(NamedTuple):
     in_line: int = 2  # [second differences] within noise, and the window restarts
     windows_of_patience: int = 3  # [windows] of rejected samples before it restarts in any case
     least_patience: int = 30  # [samples] at least
+    settles: int = 3  # [good samples] in a row, after a restart, until the window grows again
+    settled: float = 0.25  # [limit] distance of such a sample
 
 
 TUNED = Tuned()
@@ -88,36 +90,51 @@ class InnovationGate:
         """The largest d of a sample that is used."""
         return _quantile(max(len(self.outputs(window)), 1))
 
-    def sees_half_turns(self, window):
-        """Whether this window can tell that it is turned round."""
-        return bool(self.half_turn and self.half_turn.is_possible(window))
+    def half_turn_of(self, window):
+        """How this window can tell that it is turned round: as given, or as its Model says."""
+        return self.half_turn or half_turn.of_model(window.model)
+
+    def sees_parameter(self, window):
+        """Whether a parameter of this window can tell that it is turned round."""
+        turn = self.half_turn_of(window)
+        return bool(turn and turn.has_parameter(window))
+
+    def sees_opposite(self, window):
+        """Whether it is predicted where the robot would be with the opposite heading."""
+        return window.model.heading is not None
 
     def memory(self, window):
         """What is remembered of the samples before.
 
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
-        the covariance S of the last one that was used. Then after how many samples the robot seemed
-        to be turned round.
+        the covariance S of the last one that was used. How noisy they are (`noise_level`). For how
+        many samples the window still has to settle. Then after how many samples the robot seemed to
+        be turned round, and where it would be then.
         """
         n = len(self.outputs(window))
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
-        return memory | (dict(turned=(1, 1)) if self.sees_half_turns(window) else {})
+        memory |= noise_level.SHAPES | dict(settling=(1, 1))
+        if self.sees_parameter(window):
+            memory |= dict(turned=(1, 1))
+        if self.sees_opposite(window):
+            memory |= dict(opposite=(window.interval.n_s, 1))
+        return memory
 
     def build(self, window):
         """The Function (prediction, s_N, z_N, noise, memory, …) -> how the newest sample is used.
 
-        That is `z_used`, the prediction's `m_used` and `P_used`, `agrees`, `accepted`, `restart`,
-        and of each piece of the memory `<piece>_after`.
+        That is `z_used` with the noise's factor `scale_used`, the prediction's `m_used` and
+        `P_used`, `agrees`, `accepted`, `restart` and where, `s_restart`, and of each piece of the
+        memory `<piece>_after`.
         """
         interval = window.interval
         outputs = self.outputs(window)
-        limit = self.limit(window)
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
-        if self.sees_half_turns(window):
-            shapes |= dict(age=(1, 1))  # for `conclude`
+        if self.sees_parameter(window) or self.sees_opposite(window):
+            shapes |= dict(age=(1, 1))
         if window.at_measured_input:
             shapes |= newest_interval.variants_of(window)
 
@@ -126,49 +143,86 @@ class InnovationGate:
             before = {name: values.pop(name) for name in self.memory(window)}
             noise = {name: values.pop(name) for name in window.noise}
             prepared, at_measured, at_kept = _predictions(window, values)
+            limit = self.limit(window)
             kept = _with_inputs_as_before(interval, z_N, prepared.v, limit * noise["V"])
             in_range = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
             measured = at_measured.given(window, z_N, noise)
             without = prepared.given(window, kept, noise)
             H = [output.H(at_measured.s) for output in outputs]
             H = ca.vertcat(ca.SX(0, interval.n_s), *H)
-            has = ca.vertcat(*(output.is_valid(z_N) for output in outputs))
+            has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
+            has_any = ca.sum1(has) > 0
             V = ca.vertcat(*(noise["V"][output.row] for output in outputs))
-            S = H @ measured[1] @ H.T + ca.diag(V)
+            scale = noise_level.scale_of(before)
+            limit = limit * noise_level.width_of(before)
+            S = H @ measured[1] @ H.T + ca.diag(V * scale)
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
             y_measured = new_start.innovation(outputs, z_N, measured[0], at_measured.s)
             y_without = new_start.innovation(outputs, z_N, without[0], prepared.s)
-            agrees = _distance(y_measured, grown, has) <= limit  # 0 where it is NaN
+            d = _distance(y_measured, grown, has)
+            fits = d <= limit  # 0 where it is NaN
             more = H @ (without[1] - measured[1]) @ H.T
-            agrees_without = _distance(y_without, grown + more, has) <= limit
-            is_used = ca.logic_or(agrees, agrees_without)
+            fits_without = _distance(y_without, grown + more, has) <= limit
+            is_used = ca.logic_or(fits, fits_without)
             # m_N knows nothing of bounds; s_N follows from the last solution, which does.
             s_N = at_kept.s
             s, _ = at_kept._replace(m=s_N).given(window, in_range, noise)
             y = new_start.innovation(outputs, z_N, s, s_N)
-            can_restart = new_start.fits(window, outputs, s, s_N, y)
-            after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
+            n_has = ca.fmax(ca.sum1(has), 1)
+            square = noise_level.square_of(before, y, S)
+            run, asks = _counted(before, is_used, has_any, square, n_has, limit, window.N)
+            is_noisy = asks * (run["spread"] > noise_level.TUNED.scattered)
+            is_noisier = is_noisy * (d <= limit * run["spread"])
+            fits = ca.logic_or(fits, is_noisier)
+            restart = asks * (1 - is_noisier)
+            opposite = {}
+            if self.sees_opposite(window):
+                turned, is_there = self._opposite(window, before, at_kept.v, z_N, grown, limit)
+                is_there *= restart * (run["rejected"] <= age) * (d > limit)
+                y = ca.if_else(is_there, new_start.innovation(outputs, z_N, turned, turned), y)
+                s_N = ca.if_else(is_there, turned, s_N)
+                opposite = dict(opposite=turned)
+            restart *= new_start.fits(window, outputs, s, s_N, y)
             rejected = ca.if_else(restart, in_range, _without(outputs, in_range))
-            z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
+            z_used = ca.if_else(fits, z_N, ca.if_else(is_used, kept, rejected))
             m, P = new_start.anew(window, outputs, s_N, at_kept.P, y, m_0, P_0)
-            as_used = _chosen(agrees, at_measured, is_used, prepared, at_kept)
-            is_rejected = 1 - is_used
-            is_used = ca.logic_or(is_used, restart)
+            is_used = ca.logic_or(is_used, is_noisier)
+            as_used = _chosen(fits, at_measured, is_used, prepared, at_kept)
+            is_followed = is_used * has_any * (1 - is_noisier)
+            level = noise_level.followed(before, square / n_has, d / n_has, is_followed)
+            scale_after = ca.if_else(is_noisy, scale * run["spread"], level[0])
+            after = _remembered(run, is_used, restart, has_any, y, S, before)
+            after |= opposite | dict(
+                noise_scale=scale_after,
+                width=level[1],
+                share=noise_level.share_after(before, 1 - is_used, has_any, patience(window.N)),
+                settling=_settling(before, restart, is_used * (d <= limit * TUNED.settled)),
+            )
             return dict(
                 z_used=z_used,
+                scale_used=ca.if_else(is_noisy, scale_after, scale),
                 m_used=ca.if_else(restart, m, as_used.m),
                 P_used=ca.if_else(restart, P, as_used.P),
-                as_measured=agrees,
-                is_rejected=is_rejected,
+                s_restart=s_N,
+                as_measured=fits,
+                is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
-                agrees=is_used * (1 - restart * bool(window.model.state_bounds)),
+                agrees=ca.logic_or(is_used, restart * (not window.model.state_bounds)),
                 restart=restart,
                 **self._report(window, z_used),
                 **{f"{name}_after": value for name, value in after.items()},
             )
 
         return gate
+
+    def _opposite(self, window, before, v, z_N, S, limit):
+        """Where the robot would be with the opposite heading, and whether the sample is there."""
+        outputs = self.outputs(window)
+        s = window.interval.step(before["opposite"], v, window.dt_s)
+        y = new_start.innovation(outputs, z_N, s, s)
+        has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
+        return s, _distance(y, S, has) <= limit
 
     def build_kept(self, window):
         """The Function (z_N, v, V) -> the sample with the inputs that are kept if it is rejected."""
@@ -210,12 +264,18 @@ class InnovationGate:
             ok *= 1 - is_growing
             restart = ca.logic_or(restart, kept * is_growing)
         after = {name: value for name, value in verdict.items() if name.endswith("_after")}
-        if self.sees_half_turns(window):
-            is_seen = self.half_turn.is_seen(window, result, _quantile(1))
-            turned = self.half_turn.counted(window, given, is_seen)
+        turn = self.half_turn_of(window)
+        if self.sees_parameter(window):
+            is_seen = turn.is_seen(window, result, _quantile(1))
+            turned = turn.counted(window, given, is_seen)
             ok *= 1 - is_seen
-            restart = ca.logic_or(restart, kept * self.half_turn.is_certain(window, turned))
+            restart = ca.logic_or(restart, kept * turn.is_certain(window, turned))
             after["turned_after"] = turned
+        if self.sees_opposite(window):
+            newest = _joint_state(window, result["estimate"])
+            goes_on = verdict["is_rejected"] * (1 - restart)
+            opposite = turn.turned(window, newest, 1)
+            after["opposite_after"] = ca.if_else(goes_on, after["opposite_after"], opposite)
         # A window that fails forgets: what its prediction left here may not be a number.
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
@@ -224,9 +284,10 @@ class InnovationGate:
         """The memory of a window that restarts at its newest sample, unless it goes on."""
 
         def where(s, values):
-            if not self.sees_half_turns(window):
+            if not self.sees_parameter(window):
                 return s
-            return self.half_turn.turned(window, s, values["turned_after"])
+            turn = self.half_turn_of(window)
+            return turn.turned(window, s, turn.is_certain(window, values["turned_after"]))
 
         after = {f"{name}_after": shape for name, shape in self.memory(window).items()}
         return new_start.build(window, self.outputs(window), where, after)
@@ -277,6 +338,12 @@ def _kinds(window, estimate):
     return [ca.vertcat(*(values[name] for name in names)) for names in kinds]
 
 
+def _joint_state(window, estimate):
+    """The joint state (n_s,) of an estimate."""
+    values = dict(zip(window.estimated, ca.vertsplit(estimate)))
+    return ca.vertcat(*(values[name] for name in window.model.joint_names))
+
+
 def _quantile(n):
     """The value that a variable χ² with n degrees of freedom exceeds with the gate's share."""
     from scipy.special import chdtri  # it takes a quarter of a second to load
@@ -316,36 +383,41 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, is_used, has, y, S, limit, N, can_restart):
-    """The memory (a dict) after this sample, and whether the window restarts at it.
+def _counted(before, is_used, has_any, square, n, limit, N):
+    """The run of rejected samples with this one (a dict), and whether it asks for a restart.
 
     Args:
         before: The memory before it.
         is_used: Whether it is used.
-        has: (n_y,) which outputs it has.
-        y: (n_y,) their innovation.
-        S: (n_y, n_y) its covariance.
-        limit: Of the distance.
+        has_any: Whether it has some outputs.
+        square: Of the second difference of their innovations, by the variances that are expected.
+        n: How many outputs.
+        limit: Of the distance, and of the square.
         N: Intervals of the window.
-        can_restart: Whether the window may restart at this sample.
     """
-    has_any = ca.sum1(has) > 0
-    bend = y - 2 * before["trail"][:, 0] + before["trail"][:, 1]
-    is_line = (before["rejected"] >= 2) * (ca.sum1(bend**2 / (6 * ca.diag(S))) <= limit)
-    rejected = before["rejected"] + 1
-    in_line = ca.if_else(is_line, before["in_line"] + 1, 0)
-    has_to = ca.logic_or(in_line >= TUNED.in_line, rejected >= patience(N))
-    restart = (1 - is_used) * has_to * can_restart
+    is_line = (before["rejected"] >= 2) * (square <= limit)
+    run = dict(
+        rejected=before["rejected"] + 1,
+        in_line=ca.if_else(is_line, before["in_line"] + 1, 0),
+        spread=noise_level.spread_of(before, square / n, has_any),
+    )
+    is_line_now = run["in_line"] >= TUNED.in_line
+    return run, (1 - is_used) * ca.logic_or(is_line_now, run["rejected"] >= patience(N))
+
+
+def _remembered(run, is_used, restart, has_any, y, S, before):
+    """The run of rejected samples, missing ones and their innovations, after this sample."""
     goes_on = 1 - ca.logic_or(is_used * has_any, restart)  # without a sample that was used
     is_rejected = 1 - is_used
-    after = dict(
-        rejected=goes_on * ca.if_else(is_rejected, rejected, before["rejected"]),
-        in_line=goes_on * ca.if_else(is_rejected, in_line, before["in_line"]),
-        missing=goes_on * (before["missing"] + (1 - has_any)),
-        trail=ca.if_else(has_any, ca.horzcat(y, before["trail"][:, 0]), before["trail"]),
-        S=S,
-    )
-    return after, restart
+    counted = {name: goes_on * ca.if_else(is_rejected, run[name], before[name]) for name in run}
+    trail = ca.if_else(has_any, ca.horzcat(y, before["trail"][:, 0]), before["trail"])
+    return counted | dict(missing=goes_on * (before["missing"] + (1 - has_any)), trail=trail, S=S)
+
+
+def _settling(before, restart, is_good):
+    """For how many good samples in a row the window has to settle after this one."""
+    left = ca.if_else(is_good, before["settling"] - 1, TUNED.settles)
+    return ca.if_else(restart, TUNED.settles, (before["settling"] > 0) * left)
 
 
 def _without(outputs, z):

@@ -31,7 +31,13 @@ from rhec.core.estimator.base import (
     noise_shapes,
     variances_w,
 )
-from rhec.core.estimator.guard import ITERATED, noise_memory, whole_noise, with_guard
+from rhec.core.estimator.guard import (
+    ITERATED,
+    noise_as_used,
+    noise_memory,
+    whole_noise,
+    with_guard,
+)
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -688,6 +694,8 @@ def _build_improve(window, phases):
         z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
         given |= whole_noise(window, values)
+        if window.judge:
+            given = noise_as_used(window, given, values["scale_used"])
         chosen = search(**select_inputs(search, given), penalty=penalty)
         ok = values["ok"]
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
