@@ -9,11 +9,10 @@ Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters
 later step returns. A sample has three chances:
 
 1. It is used as it was measured, if d is within the limit.
-2. It is used without those measured inputs that differ from the last ones, if d is then: an encoder
-   may be wrong where the position is not.
-3. Otherwise it is rejected: the judged outputs count as missing, and so do inputs beyond those of
-   the window. An input that the window has had before, such as a steering angle that changes sides,
-   is no sign of a fault.
+2. It is used without those measured inputs that are beyond all inputs of the window, if d is then:
+   an encoder may be wrong where the position is not. An input that the window has had before, such
+   as a steering angle that changes sides, is no sign of a fault.
+3. Otherwise it is rejected: the judged outputs count as missing, and so do such inputs.
 
 While samples are rejected, or have no judged output, S is not that of the prediction, whose window
 loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
@@ -142,12 +141,11 @@ class InnovationGate:
         def gate(m_0, P_0, z_N, v, age=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
             noise = {name: values.pop(name) for name in window.noise}
-            prepared, at_measured, at_kept = _predictions(window, values)
+            at_measured, at_kept = _predictions(window, values)
             limit = self.limit(window)
-            kept = _with_inputs_as_before(interval, z_N, prepared.v, limit * noise["V"])
-            in_range = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
+            kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
             measured = at_measured.given(window, z_N, noise)
-            without = prepared.given(window, kept, noise)
+            without = at_kept.given(window, kept, noise)
             H = [output.H(at_measured.s) for output in outputs]
             H = ca.vertcat(ca.SX(0, interval.n_s), *H)
             has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
@@ -159,7 +157,7 @@ class InnovationGate:
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
             y_measured = new_start.innovation(outputs, z_N, measured[0], at_measured.s)
-            y_without = new_start.innovation(outputs, z_N, without[0], prepared.s)
+            y_without = new_start.innovation(outputs, z_N, without[0], at_kept.s)
             d = _distance(y_measured, grown, has)
             fits = d <= limit  # 0 where it is NaN
             more = H @ (without[1] - measured[1]) @ H.T
@@ -167,7 +165,7 @@ class InnovationGate:
             is_used = ca.logic_or(fits, fits_without)
             # m_N knows nothing of bounds; s_N follows from the last solution, which does.
             s_N = at_kept.s
-            s, _ = at_kept._replace(m=s_N).given(window, in_range, noise)
+            s, _ = at_kept._replace(m=s_N).given(window, kept, noise)
             y = new_start.innovation(outputs, z_N, s, s_N)
             n_has = ca.fmax(ca.sum1(has), 1)
             square = noise_level.square_of(before, y, S)
@@ -184,11 +182,11 @@ class InnovationGate:
                 s_N = ca.if_else(is_there, turned, s_N)
                 opposite = dict(opposite=turned)
             restart *= new_start.fits(window, outputs, s, s_N, y)
-            rejected = ca.if_else(restart, in_range, _without(outputs, in_range))
-            z_used = ca.if_else(fits, z_N, ca.if_else(is_used, kept, rejected))
+            used = ca.logic_or(is_used, restart)
+            z_used = ca.if_else(fits, z_N, ca.if_else(used, kept, _without(outputs, kept)))
             m, P = new_start.anew(window, outputs, s_N, at_kept.P, y, m_0, P_0)
             is_used = ca.logic_or(is_used, is_noisier)
-            as_used = _chosen(fits, at_measured, is_used, prepared, at_kept)
+            as_used = _chosen(fits, at_measured, at_kept)
             is_followed = is_used * has_any * (1 - is_noisier)
             level = noise_level.followed(before, square / n_has, d / n_has, is_followed)
             scale_after = ca.if_else(is_noisy, scale * run["spread"], level[0])
@@ -308,21 +306,20 @@ class _Prediction(NamedTuple):
 
 
 def _predictions(window, values):
-    """As it was prepared; with the measured inputs; with those kept of a rejected sample."""
-    prepared = _Prediction(*(values[name] for name in newest_interval.PIECES))
+    """With the measured inputs, and with those of them that the judge keeps."""
     if not window.at_measured_input:
-        return prepared, prepared, prepared
+        prepared = _Prediction(*(values[name] for name in newest_interval.PIECES))
+        return prepared, prepared
     variants = [values[name] for name in newest_interval.VARIANTS]
     n = len(newest_interval.PIECES)
-    return prepared, _Prediction(*variants[:n]), _Prediction(*variants[n:])
+    return _Prediction(*variants[:n]), _Prediction(*variants[n:])
 
 
-def _chosen(is_first, first, is_second, second, third):
-    """The first of three predictions, the second or the third."""
-    if first is third:  # all are the same
+def _chosen(is_first, first, second):
+    """One of two predictions."""
+    if first is second:
         return first
-    others = (ca.if_else(is_second, *pieces) for pieces in zip(second, third))
-    return _Prediction(*(ca.if_else(is_first, *pair) for pair in zip(first, others)))
+    return _Prediction(*(ca.if_else(is_first, *pair) for pair in zip(first, second)))
 
 
 def patience(N):
@@ -349,18 +346,6 @@ def _quantile(n):
     from scipy.special import chdtri  # it takes a quarter of a second to load
 
     return float(chdtri(n, TUNED.share))
-
-
-def _with_inputs_as_before(interval, z, v, variances):
-    """The sample z (n_z,) with NaN for measured inputs that differ from the last ones v (n_v,).
-
-    They differ where the square of the change exceeds twice the variances (n_z,).
-    """
-    kept = ca.SX(z)
-    for place, (row, _) in interval.input_outputs.items():
-        stays = (z[row] - v[place]) ** 2 <= 2 * variances[row]
-        kept[row] = ca.if_else(stays, z[row], ca.DM.nan())
-    return kept
 
 
 def _with_inputs_of_window(interval, z, v, variances):

@@ -8,8 +8,8 @@ deviations. So before the sample is judged, the interval is linearised again, at
     F, D, B at (s_M, v),   m_N = F + A (m_M - s_M),   P_N = A P_M A'
 
 with the mean m_M and the covariance P_M of the node before it. That is the prediction of an EKF.
-There are two of them: "measured", with all inputs of the sample, and "rejected", with those that
-the judge keeps where it rejects the sample. Later iterations of `solve` take the input as it was
+There are two of them: with all inputs as they were "measured", and with those of them that are
+"kept" if the judge doubts the others. Later iterations of `solve` take the input as it was
 estimated: they have to end where the problem's own slopes are.
 """
 
@@ -24,7 +24,7 @@ from rhec.core.solver.gauss_newton import symmetric
 
 BEFORE = ("m_M", "P_M")  # of the filter at the node before
 PIECES = ("s_N", "v_N", "B_N", "m_N", "P_N")  # of a prediction; the end F and slopes D besides
-VARIANTS = tuple(f"{name}_{which}" for which in ("measured", "rejected") for name in PIECES)
+VARIANTS = tuple(f"{name}_{which}" for which in ("measured", "kept") for name in PIECES)
 # The window's arrays whose last columns are the interval's: {array: piece}.
 _COLUMNS = dict(s="s_N", v="v_N", F="F_newest", D="D_newest", B="B_N")
 
@@ -103,7 +103,7 @@ def build(window, judge):
         given = inputs | _prepared(window, inputs) | dict(s_M=inputs["s"][:, window.N - 1])
         z_kept = kept(**select_inputs(kept, inputs))["z_kept"]
         results = {}
-        for which, z in dict(measured=inputs["z_N"], rejected=z_kept).items():
+        for which, z in dict(measured=inputs["z_N"], kept=z_kept).items():
             found = again(**select_inputs(again, given | dict(z_N=z)))
             results |= {f"{name}_{which}": found[name] for name in pieces}
         return results
@@ -112,12 +112,9 @@ def build(window, judge):
 
 
 def chosen(window, values, verdict):
-    """The pieces that go with the judge's verdict: as prepared where it doubts some inputs."""
-    pieces = {}
-    for name, prepared in _prepared(window, values).items():
-        other = ca.if_else(verdict["is_rejected"], values[f"{name}_rejected"], prepared)
-        pieces[name] = ca.if_else(verdict["as_measured"], values[f"{name}_measured"], other)
-    return pieces
+    """The pieces that go with the judge's verdict."""
+    pairs = {name: (values[f"{name}_measured"], values[f"{name}_kept"]) for name in pieces_of(window)}
+    return {name: ca.if_else(verdict["as_measured"], *pair) for name, pair in pairs.items()}
 
 
 def replaced(values, pieces):
