@@ -169,11 +169,11 @@ class InnovationGate:
             y = new_start.innovation(outputs, z_N, s, s_N)
             n_has = ca.fmax(ca.sum1(has), 1)
             square = noise_level.square_of(before, y, S)
-            run, asks = _counted(before, is_used, has_any, square, n_has, limit, window.N)
-            is_noisy = asks * (run["spread"] > noise_level.TUNED.scattered)
+            run, asks = _counted(before, has_any, square, n_has, limit, window.N)
+            is_noisy = noise_level.is_noisy(run, asks) * (1 - is_used)
             is_noisier = is_noisy * (d <= limit * run["spread"])
             fits = ca.logic_or(fits, is_noisier)
-            restart = asks * (1 - is_noisier)
+            restart = asks * (1 - is_used) * (1 - is_noisier)
             opposite = {}
             if self.sees_opposite(window):
                 turned, is_there = self._opposite(window, before, at_kept.v, z_N, grown, limit)
@@ -187,9 +187,10 @@ class InnovationGate:
             m, P = new_start.anew(window, outputs, s_N, at_kept.P, y, m_0, P_0)
             is_used = ca.logic_or(is_used, is_noisier)
             as_used = _chosen(fits, at_measured, at_kept)
-            is_followed = is_used * has_any * (1 - is_noisier)
+            is_followed = fits * has_any * (1 - is_noisier)
             level = noise_level.followed(before, square / n_has, d / n_has, is_followed)
-            scale_after = ca.if_else(is_noisy, scale * run["spread"], level[0])
+            is_louder = is_noisy * ca.logic_or(is_noisier, restart)
+            scale_after = ca.if_else(is_louder, scale * run["spread"], level[0])
             after = _remembered(run, is_used, restart, has_any, y, S, before)
             after |= opposite | dict(
                 noise_scale=scale_after,
@@ -199,7 +200,7 @@ class InnovationGate:
             )
             return dict(
                 z_used=z_used,
-                scale_used=ca.if_else(is_noisy, scale_after, scale),
+                scale_used=ca.if_else(is_louder, scale_after, scale),
                 m_used=ca.if_else(restart, m, as_used.m),
                 P_used=ca.if_else(restart, P, as_used.P),
                 s_restart=s_N,
@@ -368,12 +369,11 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, is_used, has_any, square, n, limit, N):
+def _counted(before, has_any, square, n, limit, N):
     """The run of rejected samples with this one (a dict), and whether it asks for a restart.
 
     Args:
         before: The memory before it.
-        is_used: Whether it is used.
         has_any: Whether it has some outputs.
         square: Of the second difference of their innovations, by the variances that are expected.
         n: How many outputs.
@@ -387,7 +387,7 @@ def _counted(before, is_used, has_any, square, n, limit, N):
         spread=noise_level.spread_of(before, square / n, has_any),
     )
     is_line_now = run["in_line"] >= TUNED.in_line
-    return run, (1 - is_used) * ca.logic_or(is_line_now, run["rejected"] >= patience(N))
+    return run, ca.logic_or(is_line_now, run["rejected"] >= patience(N))
 
 
 def _remembered(run, is_used, restart, has_any, y, S, before):

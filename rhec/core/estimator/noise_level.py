@@ -5,8 +5,8 @@ Its samples are rejected then, and those that ask for a restart scatter: their s
 
     q = mean of (y_k - 2 y_{k-1} + y_{k-2})² / (6 S)  over the samples rejected in a row
 
-tell by how much their variance exceeds S. Above `scattered` no restart among them would be right.
-The variances V of the judged outputs are multiplied by q instead, in the whole window. If the sample
+tell by how much their variance exceeds S. Above `scattered` no restart among them would be right, and
+there is no need to wait for one. The variances V of the judged outputs are multiplied by q instead, in the whole window. If the sample
 agrees with its prediction then, the window goes on with it; otherwise it restarts with this noise.
 The factor follows the second differences until it is 1 again: innovations that are all alike are no
 noise, but an estimate that is off. At 1 it changes nothing.
@@ -31,6 +31,8 @@ class Tuned(NamedTuple):
     scattered: float = 4.0  # [S] of second differences; of samples without a new noise 1
     forgets: float = 0.1  # [1] weight of the newest sample in the gate's width
     many: float = 0.05  # [1] share of rejected samples, above which the gate widens
+    widest: float = 25.0  # [limit] it becomes: good for σ that are five times too small
+    patience: int = 8  # [samples] rejected in a row, after which those that scatter are noisier
 
 
 TUNED = Tuned()
@@ -59,6 +61,12 @@ def spread_of(memory, square, has_any):
     return ca.if_else((n > 0) * has_any, ca.fmin(mean, MAX_SCALE), memory["spread"])
 
 
+def is_noisy(run, asks):
+    """Whether the samples of a run scatter, and either ask for a restart or have been many."""
+    is_time = ca.logic_or(asks, run["rejected"] >= TUNED.patience)
+    return is_time * (run["spread"] > TUNED.scattered)
+
+
 def followed(memory, square, d, is_used):
     """Noise's factor and gate's width after a sample.
 
@@ -66,13 +74,14 @@ def followed(memory, square, d, is_used):
         memory: The memory before the sample.
         square: Its second difference, as q.
         d: y' S⁻¹ y / n of the n outputs that it has.
-        is_used: Whether it has some and is used.
+        is_used: Whether it has some and is used as it was measured.
     """
     scale = scale_of(memory)
     # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean.
     moved = ca.fmax(1, scale * ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))))
     width = width_of(memory)
     wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * d)
+    wider = ca.fmin(wider, TUNED.widest)
     is_widening = is_used * ca.logic_or(width > 1, memory["share"] > TUNED.many)
     scale = ca.if_else(is_used * (scale > 1), moved, scale)
     return scale, ca.if_else(is_widening, wider, width)
