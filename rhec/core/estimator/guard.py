@@ -121,6 +121,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         for name in ("agrees", "as_measured", "is_rejected"):
             del verdict[name]
         taken = {f"{name}_taken": piece for name, piece in chosen.items()}
+        taken |= dict(is_first_step=1 - inputs["iterated"]) if intervals else {}
         return result | verdict | used | concluded | taken
 
     return feedback
@@ -150,6 +151,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
     shapes |= _shapes(restarted, "goes_on", "Q", *shapes)
     pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
     shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
+    shapes |= dict(is_first_step=(1, 1)) if pieces_of_newest else {}
 
     @casadi_function("guarded_expand", symbols, **shapes)
     def expand(**inputs):
@@ -160,6 +162,9 @@ def _wrap_expand(window, expand_of_rhe, symbols):
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         kkt = ca.if_else(inputs["ok"], result.pop("kkt"), ca.DM.nan())
+        if pieces_of_newest:
+            within = newest_interval.within_range(window, result["v"], inputs["v"], inputs["V"])
+            result["v"] = ca.if_else(inputs["is_first_step"], within, result["v"])
         memory = result | {f"{name}_window": value for name, value in noises.items()}
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
         is_alone = ca.logic_or(inputs["restart"], inputs["kept"] * (inputs["settling_after"] > 0))

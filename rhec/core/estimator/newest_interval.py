@@ -11,6 +11,10 @@ with the mean m_M and the covariance P_M of the node before it. That is the pred
 There are two of them: with all inputs as they were "measured", and with those of them that are
 "kept" if the judge doubts the others. Later iterations of `solve` take the input as it was
 estimated: they have to end where the problem's own slopes are.
+
+The window linearises its other intervals at inputs as they were estimated. One that was not measured
+may be estimated anywhere in a single step, such as beyond the pole of tan. So a step takes none
+beyond the range of the inputs that the window has had, and some σ.
 """
 
 import functools
@@ -115,6 +119,20 @@ def chosen(window, values, verdict):
     """The pieces that go with the judge's verdict."""
     pairs = {name: (values[f"{name}_measured"], values[f"{name}_kept"]) for name in pieces_of(window)}
     return {name: ca.if_else(verdict["as_measured"], *pair) for name, pair in pairs.items()}
+
+
+def within_range(window, v_new, v, V):
+    """New inputs (n_v, N), those with an output of their own within the range of the last ones v.
+
+    The range is that of the window's intervals, and as many σ as the judge grants an input.
+    """
+    rows = ca.vertsplit(v_new)
+    for place, (row, _) in window.interval.input_outputs.items():
+        margin = ca.sqrt(2 * window.judge.limit(window) * V[row])
+        lower = ca.mmin(v[place, :]) - margin
+        upper = ca.mmax(v[place, :]) + margin
+        rows[place] = ca.fmin(ca.fmax(rows[place], lower), upper)
+    return ca.vertcat(*rows)
 
 
 def replaced(values, pieces):
