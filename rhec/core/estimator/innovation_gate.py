@@ -16,7 +16,8 @@ later step returns. A sample has three chances:
 
 While samples are rejected, or have no judged output, S is not that of the prediction, whose window
 loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
-sample that was used, times one more than the samples that had no output since.
+sample that was used, times one more than the samples that had no output since. An input that is not
+measured may be anything: deviations count once more for each sample in a row without some.
 
 What is wrong may be the estimate and not the samples. Then their innovations follow each other:
 those of a position that has moved for good are all alike, those of a wrong speed grow evenly. The
@@ -108,12 +109,14 @@ class InnovationGate:
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
         the covariance S of the last one that was used. How noisy they are (`noise_level`). For how
-        many samples the window still has to settle. Then after how many samples the robot seemed to
+        many samples the window still has to settle, and how many had no inputs. Then after how many samples the robot seemed to
         be turned round, and where it would be then.
         """
         n = len(self.outputs(window))
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
         memory |= noise_level.SHAPES | dict(settling=(1, 1))
+        if window.at_measured_input:
+            memory |= dict(unknown=(1, 1))
         if self.sees_parameter(window):
             memory |= dict(turned=(1, 1))
         if self.sees_opposite(window):
@@ -156,6 +159,10 @@ class InnovationGate:
             S = H @ measured[1] @ H.T + ca.diag(V * scale)
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
+            unknown = {}
+            if window.at_measured_input:
+                unknown = _unknown(interval, z_N, before, has_any)
+                grown = grown * (1 + unknown["unknown"]) ** 2
             y_measured = new_start.innovation(outputs, z_N, measured[0], at_measured.s)
             y_without = new_start.innovation(outputs, z_N, without[0], at_kept.s)
             d = _distance(y_measured, grown, has)
@@ -192,7 +199,8 @@ class InnovationGate:
             is_louder = is_noisy * ca.logic_or(is_noisier, restart)
             scale_after = ca.if_else(is_louder, scale * run["spread"], level[0])
             after = _remembered(run, is_used, restart, has_any, y, S, before)
-            after |= opposite | dict(
+            unknown = {name: n * (1 - is_used * (n == before[name])) for name, n in unknown.items()}
+            after |= opposite | unknown | dict(
                 noise_scale=scale_after,
                 width=level[1],
                 share=noise_level.share_after(before, 1 - is_used, has_any, patience(window.N)),
@@ -403,6 +411,14 @@ def _settling(before, restart, is_good):
     """For how many good samples in a row the window has to settle after this one."""
     left = ca.if_else(is_good, before["settling"] - 1, TUNED.settles)
     return ca.if_else(restart, TUNED.settles, (before["settling"] > 0) * left)
+
+
+def _unknown(interval, z, before, has_any):
+    """How many samples in a row had outputs, but not all of their inputs, this one included."""
+    has_inputs = ca.SX(1)
+    for row, limit in interval.input_outputs.values():
+        has_inputs *= is_valid_measurement(z[row], limit)
+    return dict(unknown=before["unknown"] + has_any * (1 - has_inputs))
 
 
 def _without(outputs, z):
