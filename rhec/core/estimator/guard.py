@@ -30,7 +30,9 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.estimator import newest_interval, noise_level
 
-ITERATED = "iterated_feedback"  # the feedback of later iterations on a sample, if it is another
+# The feedback of `solve`, if it is another: its input `iteration` is 1 at first and then 2. That of
+# a sample without iterations is 0.
+ITERATED = "iterated_feedback"
 
 # The noise Q of the window's intervals, which is remembered where process noise acts within it.
 
@@ -121,7 +123,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         for name in ("agrees", "as_measured", "is_rejected"):
             del verdict[name]
         taken = {f"{name}_taken": piece for name, piece in chosen.items()}
-        taken |= dict(is_first_step=1 - inputs["iterated"]) if intervals else {}
+        taken |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}
         return result | verdict | used | concluded | taken
 
     return feedback
@@ -129,13 +131,12 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
 
 def _first_and_later(window, feedback, symbols):
     """The phase "feedback", and the one of later iterations on a sample, if it is another."""
-    if not window.at_measured_input:
+    if not window.doubts_model:
         return dict(feedback=feedback)
-    shapes = _shapes(feedback, "iterated")
 
-    @casadi_function("measured_feedback", symbols, **shapes)
+    @casadi_function("only_feedback", symbols, **_shapes(feedback, "iteration"))
     def first(**inputs):
-        return feedback(**inputs, iterated=0)
+        return feedback(**inputs, iteration=0)
 
     return {"feedback": first, ITERATED: feedback}
 
@@ -151,7 +152,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
     shapes |= _shapes(restarted, "goes_on", "Q", *shapes)
     pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
     shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
-    shapes |= dict(is_first_step=(1, 1)) if pieces_of_newest else {}
+    shapes |= dict(is_only_step=(1, 1)) if pieces_of_newest else {}
 
     @casadi_function("guarded_expand", symbols, **shapes)
     def expand(**inputs):
@@ -164,7 +165,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
         kkt = ca.if_else(inputs["ok"], result.pop("kkt"), ca.DM.nan())
         if pieces_of_newest:
             within = newest_interval.within_range(window, result["v"], inputs["v"], inputs["V"])
-            result["v"] = ca.if_else(inputs["is_first_step"], within, result["v"])
+            result["v"] = ca.if_else(inputs["is_only_step"], within, result["v"])
         memory = result | {f"{name}_window": value for name, value in noises.items()}
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
         is_alone = ca.logic_or(inputs["restart"], inputs["kept"] * (inputs["settling_after"] > 0))

@@ -139,16 +139,16 @@ class InnovationGate:
             shapes |= dict(age=(1, 1))
         if window.at_measured_input:
             shapes |= newest_interval.variants_of(window)
+        if self.doubts_model:
+            shapes |= dict(iteration=(1, 1))
 
         @casadi_function("gate", ca.SX, **shapes)
-        def gate(m_0, P_0, z_N, v, age=None, **values):
+        def gate(m_0, P_0, z_N, v, age=None, iteration=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
             noise = {name: values.pop(name) for name in window.noise}
             at_measured, at_kept = _predictions(window, values)
             limit = self.limit(window)
             kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
-            measured = at_measured.given(window, z_N, noise)
-            without = at_kept.given(window, kept, noise)
             H = [output.H(at_measured.s) for output in outputs]
             H = ca.vertcat(ca.SX(0, interval.n_s), *H)
             has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
@@ -156,6 +156,12 @@ class InnovationGate:
             V = ca.vertcat(*(noise["V"][output.row] for output in outputs))
             scale = noise_level.scale_of(before)
             limit = limit * noise_level.width_of(before)
+            strays = 0
+            if self.doubts_model:
+                strays = _strays(at_measured, H, V * scale, limit) * (iteration == 0)
+                at_measured, at_kept = (_straight(each, strays) for each in (at_measured, at_kept))
+            measured = at_measured.given(window, z_N, noise)
+            without = at_kept.given(window, kept, noise)
             S = H @ measured[1] @ H.T + ca.diag(V * scale)
             S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
             grown = S * (1 + before["missing"])
@@ -204,7 +210,7 @@ class InnovationGate:
                 noise_scale=scale_after,
                 width=level[1],
                 share=noise_level.share_after(before, 1 - is_used, has_any, patience(window.N)),
-                settling=_settling(before, restart, is_used * (d <= limit * TUNED.settled)),
+                settling=_settling(before, restart, strays, is_used * (d <= limit * TUNED.settled)),
             )
             return dict(
                 z_used=z_used,
@@ -212,6 +218,7 @@ class InnovationGate:
                 m_used=ca.if_else(restart, m, as_used.m),
                 P_used=ca.if_else(restart, P, as_used.P),
                 s_restart=s_N,
+                m_alone=as_used.m,
                 as_measured=fits,
                 is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
@@ -407,10 +414,28 @@ def _remembered(run, is_used, restart, has_any, y, S, before):
     return counted | dict(missing=goes_on * (before["missing"] + (1 - has_any)), trail=trail, S=S)
 
 
-def _settling(before, restart, is_good):
+def _settling(before, restart, strays, is_good):
     """For how many good samples in a row the window has to settle after this one."""
     left = ca.if_else(is_good, before["settling"] - 1, TUNED.settles)
-    return ca.if_else(restart, TUNED.settles, (before["settling"] > 0) * left)
+    left = (before["settling"] > 0) * left
+    return ca.if_else(ca.logic_or(restart, strays), TUNED.settles, left)
+
+
+def _strays(prediction, H, V, limit):
+    """Whether the window does not lead where its last solution leads.
+
+    It leads to the mean m, its last solution to s. At a solution they are the same. Where they are
+    farther apart in the outputs than a sample may be, the step to m has left the region where the
+    linearisation holds.
+    """
+    apart = H @ (prediction.m - prediction.s)
+    S = H @ prediction.P @ H.T + ca.diag(V)
+    return 1 - (_distance(apart, S, ca.SX.ones(V.numel())) <= limit)
+
+
+def _straight(prediction, strays):
+    """The prediction, or that of an EKF: from the last estimate along the model."""
+    return prediction._replace(m=ca.if_else(strays, prediction.s, prediction.m))
 
 
 def _unknown(interval, z, before, has_any):

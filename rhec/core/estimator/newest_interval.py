@@ -61,7 +61,7 @@ def needs(window):
     s, P, *_ = window.shapes
     N = window.N
     columns = {name: ca.repmat(each, 1, N) for name, each in window.interval.sparsities.items()}
-    pieces = dict(s=window.pieces.s, v=window.pieces.v, age=(1, 1), iterated=(1, 1))
+    pieces = dict(s=window.pieces.s, v=window.pieces.v, age=(1, 1), iteration=(1, 1))
     return columns | pieces | dict(zip(BEFORE, (s, P)))
 
 
@@ -78,7 +78,7 @@ def _build_interval(window):
 
     @casadi_function("rhe_newest_interval")
     def again(
-        prepared: pieces_of(window), m_M: s, P_M: P, s_M: s, z_N: z, age: (1, 1), iterated: (1, 1),
+        prepared: pieces_of(window), m_M: s, P_M: P, s_M: s, z_N: z, age: (1, 1), iteration: (1, 1),
         noise: window.noise,
     ):
         v_m, _ = interval.input_noise(z_N, prepared["v_N"], **noise)
@@ -87,7 +87,7 @@ def _build_interval(window):
         m = F + A @ (m_M - s_M)
         P = ca.densify(symmetric(A @ P_M @ A.T))
         new = dict(s_N=F, v_N=v_m, B_N=B, m_N=m, P_N=P, F_newest=F, D_newest=D)
-        is_new = is_plausible(ca.veccat(F, D, B, m, P)) * (1 - iterated)
+        is_new = is_plausible(ca.veccat(F, D, B, m, P)) * (iteration < 2)
         return {name: ca.if_else(is_new, new[name], prepared[name]) for name in prepared}
 
     return again

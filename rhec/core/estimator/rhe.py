@@ -690,7 +690,7 @@ def _build_improve(window, phases):
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
-        values, full = iterate(iterating, inputs | dict(iterated=penalty[1] > 0))
+        values, full = iterate(iterating, inputs | dict(iteration=1 + (penalty[1] > 0)))
         z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
         given |= whole_noise(window, values)
