@@ -158,7 +158,7 @@ class InnovationGate:
             limit = limit * noise_level.width_of(before)
             strays = 0
             if self.doubts_model:
-                strays = _strays(at_measured, H, V * scale, limit) * (iteration == 0)
+                strays = _strays(at_measured, H, V * scale, self.limit(window)) * (iteration == 0)
                 at_measured, at_kept = (_straight(each, strays) for each in (at_measured, at_kept))
             measured = at_measured.given(window, z_N, noise)
             without = at_kept.given(window, kept, noise)
@@ -182,10 +182,11 @@ class InnovationGate:
             y = new_start.innovation(outputs, z_N, s, s_N)
             n_has = ca.fmax(ca.sum1(has), 1)
             square = noise_level.square_of(before, y, S)
-            run, asks = _counted(before, has_any, square, n_has, limit, window.N)
-            is_noisy = noise_level.is_noisy(run, asks) * (1 - is_used)
+            run, is_in_line = _counted(before, has_any, square, n_has, limit)
+            is_noisy = noise_level.is_noisy(run, is_in_line) * (1 - is_used)
             is_noisier = is_noisy * (d <= limit * run["spread"])
             fits = ca.logic_or(fits, is_noisier)
+            asks = ca.logic_or(is_in_line, run["rejected"] >= patience(window.N))
             restart = asks * (1 - is_used) * (1 - is_noisier)
             opposite = {}
             if self.sees_opposite(window):
@@ -384,8 +385,8 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, has_any, square, n, limit, N):
-    """The run of rejected samples with this one (a dict), and whether it asks for a restart.
+def _counted(before, has_any, square, n, limit):
+    """The run of rejected samples with this one (a dict), and whether the last ones are in line.
 
     Args:
         before: The memory before it.
@@ -393,16 +394,14 @@ def _counted(before, has_any, square, n, limit, N):
         square: Of the second difference of their innovations, by the variances that are expected.
         n: How many outputs.
         limit: Of the distance, and of the square.
-        N: Intervals of the window.
     """
     is_line = (before["rejected"] >= 2) * (square <= limit)
     run = dict(
         rejected=before["rejected"] + 1,
         in_line=ca.if_else(is_line, before["in_line"] + 1, 0),
-        spread=noise_level.spread_of(before, square / n, has_any),
+        **noise_level.spreads(before, square / n, has_any, is_line),
     )
-    is_line_now = run["in_line"] >= TUNED.in_line
-    return run, ca.logic_or(is_line_now, run["rejected"] >= patience(N))
+    return run, run["in_line"] >= TUNED.in_line
 
 
 def _remembered(run, is_used, restart, has_any, y, S, before):

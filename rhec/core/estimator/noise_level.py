@@ -12,7 +12,7 @@ The factor follows the second differences until it is 1 again: innovations that 
 noise, but an estimate that is off. At 1 it changes nothing.
 
 Where σ was said too small, or the model is coarse, good samples are rejected now and then. Once more
-than `many` of the last ones are, the gate's limit is multiplied by what the distances d of the used
+than `many` of the last ones are, the gate's limit is multiplied by what the squares of the used
 samples are in the mean, until that is 1 again. Wild samples do not widen it: they are not used.
 """
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-SHAPES = dict.fromkeys(("spread", "noise_scale", "share", "width"), (1, 1))
+SHAPES = dict.fromkeys(("spread", "line_spread", "noise_scale", "share", "width"), (1, 1))
 MAX_SCALE = 1e15
 
 
@@ -54,17 +54,22 @@ def square_of(memory, y, S):
     return ca.sum1(bend**2 / (6 * ca.diag(S)))
 
 
-def spread_of(memory, square, has_any):
-    """q with this sample's square, as a mean over those rejected in a row but the first two."""
+def spreads(memory, square, has_any, is_line):
+    """q with this sample's square: of those rejected in a row but two, and of those in line."""
     n = memory["rejected"] - 1
     mean = memory["spread"] + (square - memory["spread"]) / ca.fmax(n, 1)
-    return ca.if_else((n > 0) * has_any, ca.fmin(mean, MAX_SCALE), memory["spread"])
+    in_line = memory["line_spread"] + (square - memory["line_spread"]) / (memory["in_line"] + 1)
+    return dict(
+        spread=ca.if_else((n > 0) * has_any, ca.fmin(mean, MAX_SCALE), memory["spread"]),
+        line_spread=is_line * in_line,
+    )
 
 
-def is_noisy(run, asks):
-    """Whether the samples of a run scatter, and either ask for a restart or have been many."""
-    is_time = ca.logic_or(asks, run["rejected"] >= TUNED.patience)
-    return is_time * (run["spread"] > TUNED.scattered)
+def is_noisy(run, is_in_line):
+    """Whether the samples of a run scatter: those in line, if they are, or many of them."""
+    is_many = run["rejected"] >= TUNED.patience
+    spread = ca.if_else(is_in_line, run["line_spread"], is_many * run["spread"])
+    return spread > TUNED.scattered
 
 
 def followed(memory, square, d, is_used):
@@ -77,10 +82,13 @@ def followed(memory, square, d, is_used):
         is_used: Whether it has some and is used as it was measured.
     """
     scale = scale_of(memory)
-    # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean.
-    moved = ca.fmax(1, scale * ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))))
+    # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean. If
+    # sample and difference are hundredths of it, the noise has ended, and it follows with 1/2.
+    slowly = ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square)))
+    most = ca.fmax(1.78 * square, d)
+    moved = ca.fmax(1, scale * ca.if_else(most > 0.01, slowly, ca.sqrt(most)))
     width = width_of(memory)
-    wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * d)
+    wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * square)
     wider = ca.fmin(wider, TUNED.widest)
     is_widening = is_used * ca.logic_or(width > 1, memory["share"] > TUNED.many)
     scale = ca.if_else(is_used * (scale > 1), moved, scale)
