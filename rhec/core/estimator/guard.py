@@ -149,7 +149,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
     if window.noisy:
         shapes |= dict(Q_used=window.noise["Q"])
     shapes |= {f"{name}_after": shape for name, shape in pieces.items()}
-    shapes |= _shapes(restarted, "goes_on", "Q", *shapes)
+    shapes |= _shapes(restarted, "goes_on", "Q", *shapes) | dict(restart=(1, 1))
     pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
     shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
     shapes |= dict(is_only_step=(1, 1)) if pieces_of_newest else {}
@@ -168,7 +168,10 @@ def _wrap_expand(window, expand_of_rhe, symbols):
             result["v"] = ca.if_else(inputs["is_only_step"], within, result["v"])
         memory = result | {f"{name}_window": value for name, value in noises.items()}
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
-        is_alone = ca.logic_or(inputs["restart"], inputs["kept"] * (inputs["settling_after"] > 0))
+        is_alone = inputs["restart"]
+        if window.doubts_model:
+            settles = inputs["kept"] * (inputs["settling_after"] > 0)
+            is_alone = ca.logic_or(is_alone, settles)
         newest = dict(Q=inputs.get("Q_used"), goes_on=1 - is_alone)
         memory |= restarted(**select_inputs(restarted, inputs | memory | newest))
         return memory | dict(kkt=kkt)

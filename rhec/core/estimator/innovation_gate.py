@@ -36,6 +36,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from rhec.core._casadi.build import casadi_function
 from rhec.core.estimator import half_turn, new_start, newest_interval, noise_level
@@ -72,13 +73,15 @@ class InnovationGate:
     `accepted` tells of the `reported` outputs, by name, which are used. Where the model may lead
     nowhere (`doubts_model`), as one without slopes in places does, the prediction and all nodes of
     the window have to be plausible. `half_turn` tells how to see that the robot is thought to be
-    turned round; without it nothing does.
+    turned round; without it the Model does, if it names its heading. A gate that does not reject
+    uses all samples, as far from their prediction as they are.
     """
 
     judged: tuple[str, ...] = ()
     reported: tuple[str, ...] = ()
     doubts_model: bool = True
     half_turn: HalfTurn | None = None
+    rejects: bool = True
 
     def outputs(self, window):
         """The outputs that are judged."""
@@ -88,6 +91,8 @@ class InnovationGate:
 
     def limit(self, window):
         """The largest d of a sample that is used."""
+        if not self.rejects:
+            return np.inf
         return _quantile(max(len(self.outputs(window)), 1))
 
     def half_turn_of(self, window):
@@ -109,12 +114,14 @@ class InnovationGate:
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
         the covariance S of the last one that was used. How noisy they are (`noise_level`). For how
-        many samples the window still has to settle, and how many had no inputs. Then after how many samples the robot seemed to
-        be turned round, and where it would be then.
+        many samples the window still has to settle, and how many had no inputs. Then after how many
+        samples the robot seemed to be turned round, and where it would be then.
         """
         n = len(self.outputs(window))
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
-        memory |= noise_level.SHAPES | dict(settling=(1, 1))
+        memory |= noise_level.SHAPES
+        if self.doubts_model:
+            memory |= dict(settling=(1, 1))
         if window.at_measured_input:
             memory |= dict(unknown=(1, 1))
         if self.sees_parameter(window):
@@ -130,10 +137,9 @@ class InnovationGate:
         `P_used`, `agrees`, `accepted`, `restart` and where, `s_restart`, and of each piece of the
         memory `<piece>_after`.
         """
-        interval = window.interval
         outputs = self.outputs(window)
         shapes = window.prediction | window.noise | self.memory(window)
-        shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
+        shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (window.interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
         if self.sees_parameter(window) or self.sees_opposite(window):
             shapes |= dict(age=(1, 1))
@@ -146,101 +152,137 @@ class InnovationGate:
         def gate(m_0, P_0, z_N, v, age=None, iteration=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
             noise = {name: values.pop(name) for name in window.noise}
-            at_measured, at_kept = _predictions(window, values)
-            limit = self.limit(window)
-            kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
-            H = [output.H(at_measured.s) for output in outputs]
-            H = ca.vertcat(ca.SX(0, interval.n_s), *H)
-            has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
-            has_any = ca.sum1(has) > 0
-            V = ca.vertcat(*(noise["V"][output.row] for output in outputs))
-            scale = noise_level.scale_of(before)
-            limit = limit * noise_level.width_of(before)
-            strays = 0
-            if self.doubts_model:
-                strays = _strays(at_measured, H, V * scale, self.limit(window)) * (iteration == 0)
-                at_measured, at_kept = (_straight(each, strays) for each in (at_measured, at_kept))
-            measured = at_measured.given(window, z_N, noise)
-            without = at_kept.given(window, kept, noise)
-            S = H @ measured[1] @ H.T + ca.diag(V * scale)
-            S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
-            grown = S * (1 + before["missing"])
-            unknown = {}
-            if window.at_measured_input:
-                unknown = _unknown(interval, z_N, before, has_any)
-                grown = grown * (1 + unknown["unknown"]) ** 2
-            y_measured = new_start.innovation(outputs, z_N, measured[0], at_measured.s)
-            y_without = new_start.innovation(outputs, z_N, without[0], at_kept.s)
-            d = _distance(y_measured, grown, has)
-            fits = d <= limit  # 0 where it is NaN
-            more = H @ (without[1] - measured[1]) @ H.T
-            fits_without = _distance(y_without, grown + more, has) <= limit
-            is_used = ca.logic_or(fits, fits_without)
-            # m_N knows nothing of bounds; s_N follows from the last solution, which does.
-            s_N = at_kept.s
-            s, _ = at_kept._replace(m=s_N).given(window, kept, noise)
-            y = new_start.innovation(outputs, z_N, s, s_N)
-            n_has = ca.fmax(ca.sum1(has), 1)
-            square = noise_level.square_of(before, y, S)
-            run, is_in_line = _counted(before, has_any, square, n_has, limit)
-            is_noisy = noise_level.is_noisy(run, is_in_line) * (1 - is_used)
-            is_noisier = is_noisy * (d <= limit * run["spread"])
-            fits = ca.logic_or(fits, is_noisier)
-            asks = ca.logic_or(is_in_line, run["rejected"] >= patience(window.N))
-            restart = asks * (1 - is_used) * (1 - is_noisier)
-            opposite = {}
-            if self.sees_opposite(window):
-                turned, is_there = self._opposite(window, before, at_kept.v, z_N, grown, limit)
-                is_there *= restart * (run["rejected"] <= age) * (d > limit)
-                y = ca.if_else(is_there, new_start.innovation(outputs, z_N, turned, turned), y)
-                s_N = ca.if_else(is_there, turned, s_N)
-                opposite = dict(opposite=turned)
-            restart *= new_start.fits(window, outputs, s, s_N, y)
-            used = ca.logic_or(is_used, restart)
-            z_used = ca.if_else(fits, z_N, ca.if_else(used, kept, _without(outputs, kept)))
-            m, P = new_start.anew(window, outputs, s_N, at_kept.P, y, m_0, P_0)
-            is_used = ca.logic_or(is_used, is_noisier)
-            as_used = _chosen(fits, at_measured, at_kept)
-            is_followed = fits * has_any * (1 - is_noisier)
-            level = noise_level.followed(before, square / n_has, d / n_has, is_followed)
-            is_louder = is_noisy * ca.logic_or(is_noisier, restart)
-            scale_after = ca.if_else(is_louder, scale * run["spread"], level[0])
-            after = _remembered(run, is_used, restart, has_any, y, S, before)
-            unknown = {name: n * (1 - is_used * (n == before[name])) for name, n in unknown.items()}
-            after |= opposite | unknown | dict(
-                noise_scale=scale_after,
-                width=level[1],
-                share=noise_level.share_after(before, 1 - is_used, has_any, patience(window.N)),
-                settling=_settling(before, restart, strays, is_used * (d <= limit * TUNED.settled)),
-            )
+            predictions = _predictions(window, values)
+            seen = self._compared(window, before, noise, predictions, z_N, v, iteration)
+            run = self._run(window, before, noise, seen, z_N, age)
+            m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, m_0, P_0)
+            fits = ca.logic_or(seen.fits, run.is_noisier)
+            is_used = ca.logic_or(seen.is_used, run.is_noisier)
+            other = ca.logic_or(is_used, run.restart)
+            rejected = _without(outputs, seen.kept)
+            z_used = ca.if_else(fits, z_N, ca.if_else(other, seen.kept, rejected))
+            as_used = _chosen(fits, seen.at_measured, seen.at_kept)
+            scale, after = self._after(window, before, seen, run, is_used)
             return dict(
                 z_used=z_used,
-                scale_used=ca.if_else(is_louder, scale_after, scale),
-                m_used=ca.if_else(restart, m, as_used.m),
-                P_used=ca.if_else(restart, P, as_used.P),
-                s_restart=s_N,
+                scale_used=scale,
+                m_used=ca.if_else(run.restart, m, as_used.m),
+                P_used=ca.if_else(run.restart, P, as_used.P),
+                s_restart=run.s,
                 m_alone=as_used.m,
                 as_measured=fits,
                 is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
-                agrees=ca.logic_or(is_used, restart * (not window.model.state_bounds)),
-                restart=restart,
+                agrees=ca.logic_or(is_used, run.restart * (not window.model.state_bounds)),
+                restart=run.restart,
                 **self._report(window, z_used),
                 **{f"{name}_after": value for name, value in after.items()},
             )
 
         return gate
 
-    def _opposite(self, window, before, v, z_N, S, limit):
-        """Where the robot would be with the opposite heading, and whether the sample is there."""
+    def _compared(self, window, before, noise, predictions, z_N, v, iteration):
+        """The sample beside its predictions: what is _Seen."""
+        interval = window.interval
         outputs = self.outputs(window)
-        s = window.interval.step(before["opposite"], v, window.dt_s)
-        y = new_start.innovation(outputs, z_N, s, s)
+        at_measured, at_kept = predictions
+        widest = limit = self.limit(window)
+        kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
+        rows = [output.H(at_measured.s) for output in outputs]
+        H = ca.vertcat(ca.SX(0, interval.n_s), *rows)
         has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
-        return s, _distance(y, S, has) <= limit
+        scale = noise_level.scale_of(before)
+        V = scale * ca.vertcat(*(noise["V"][output.row] for output in outputs))
+        strays = 0
+        if self.doubts_model:
+            widest = limit * noise_level.width_of(before)
+            strays = _strays(at_measured, H, V, limit) * (iteration == 0)
+            at_measured, at_kept = (_straight(each, strays) for each in predictions)
+        m, P = at_measured.given(window, z_N, noise)
+        m_kept, P_kept = at_kept.given(window, kept, noise)
+        S = H @ P @ H.T + ca.diag(V)
+        S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
+        grown = S * (1 + before["missing"])
+        unknown = 0
+        if window.at_measured_input:
+            unknown = before["unknown"] + (ca.sum1(has) > 0) * _lacks_inputs(interval, z_N)
+            grown = grown * (1 + unknown) ** 2
+        d = _distance(new_start.innovation(outputs, z_N, m, at_measured.s), grown, has)
+        y_kept = new_start.innovation(outputs, z_N, m_kept, at_kept.s)
+        fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= widest
+        fits = d <= widest  # 0 where it is NaN
+        return _Seen(
+            at_measured,
+            at_kept,
+            kept,
+            has,
+            S,
+            grown,
+            widest,
+            d,
+            scale,
+            strays,
+            unknown,
+            fits,
+            is_used=ca.logic_or(fits, fits_kept),
+        )
+
+    def _run(self, window, before, noise, seen, z_N, age):
+        """The _Run of rejected samples with this one, if it is not used."""
+        outputs = self.outputs(window)
+        # m_N knows nothing of bounds; s_N follows from the last solution, which does.
+        s_N = seen.at_kept.s
+        s, _ = seen.at_kept._replace(m=s_N).given(window, seen.kept, noise)
+        y = new_start.innovation(outputs, z_N, s, s_N)
+        square = noise_level.square_of(before, y, seen.S)
+        counted, is_in_line = _counted(before, seen, square)
+        is_rejected = 1 - seen.is_used
+        is_noisy = noise_level.is_noisy(counted, is_in_line) * is_rejected
+        if self.sees_parameter(window):  # what seems to be turned round is no noise
+            is_noisy *= before["turned"] == 0
+        is_noisier = is_noisy * (seen.d <= seen.limit * counted["spread"])
+        asks = ca.logic_or(is_in_line, counted["rejected"] >= patience(window.N))
+        restart = asks * is_rejected * (1 - is_noisier)
+        opposite = None
+        if self.sees_opposite(window):
+            opposite, is_there = self._opposite(window, before, seen, z_N)
+            is_there *= restart * (counted["rejected"] <= age) * (seen.d > seen.limit)
+            y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
+            s_N = ca.if_else(is_there, opposite, s_N)
+        restart *= new_start.fits(window, outputs, s, s_N, y)
+        is_louder = is_noisy * ca.logic_or(is_noisier, restart)
+        return _Run(counted, y, square, s_N, is_noisier, is_louder, restart, opposite)
+
+    def _after(self, window, before, seen, run, is_used):
+        """The noise's factor at this sample, and the memory after it."""
+        has_any = ca.sum1(seen.has) > 0
+        is_followed = seen.fits * has_any * (1 - run.is_noisier)
+        if self.sees_parameter(window):
+            is_followed *= before["turned"] == 0
+        level = noise_level.followed(before, run.square / _count(seen), is_followed)
+        louder = seen.scale * run.counted["spread"]
+        level["noise_scale"] = ca.if_else(run.is_louder, louder, level["noise_scale"])
+        n = patience(window.N)
+        share = noise_level.share_after(before, 1 - is_used, has_any, n)
+        after = _remembered(run, is_used, has_any, seen.S, before) | level | dict(share=share)
+        if window.at_measured_input:
+            is_known = is_used * (seen.unknown == before["unknown"])
+            after |= dict(unknown=seen.unknown * (1 - is_known))
+        if self.doubts_model:
+            is_good = is_used * (seen.d <= seen.limit * TUNED.settled)
+            after |= dict(settling=_settling(before, run.restart, seen.strays, is_good))
+        if self.sees_opposite(window):
+            after |= dict(opposite=run.opposite)
+        return ca.if_else(run.is_louder, louder, seen.scale), after
+
+    def _opposite(self, window, before, seen, z_N):
+        """Where the robot would be with the opposite heading, and whether the sample is there."""
+        s = window.interval.step(before["opposite"], seen.at_kept.v, window.dt_s)
+        y = new_start.innovation(self.outputs(window), z_N, s, s)
+        return s, _distance(y, seen.grown, seen.has) <= seen.limit
 
     def build_kept(self, window):
-        """The Function (z_N, v, V) -> the sample with the inputs that are kept if it is rejected."""
+        """The Function (z_N, v, V) -> the sample with the inputs that are kept if rejected."""
         n_z = len(window.model.outputs)
         shapes = dict(z_N=(n_z, 1), v=window.pieces.v, V=(n_z, 1))
 
@@ -322,6 +364,42 @@ class _Prediction(NamedTuple):
         return window.predict_input(self.B, self.m, self.P, self.v, z, **noise)
 
 
+class _Seen(NamedTuple):
+    """A sample beside its predictions."""
+
+    at_measured: Any  # the _Prediction with all measured inputs
+    at_kept: Any  # the one with the inputs that are kept
+    kept: Any  # (n_z,) the sample with these
+    has: Any  # (n_y,) which of the judged outputs it has
+    S: Any  # (n_y, n_y) covariance of their innovation
+    grown: Any  # the same for a sample after some that were missing
+    limit: Any  # of the distance
+    d: Any  # distance
+    scale: Any  # factor of the noise
+    strays: Any  # whether the window leads elsewhere than its solution
+    unknown: Any  # how many samples in a row had outputs, but not all inputs
+    fits: Any  # whether it agrees as it was measured
+    is_used: Any  # whether it agrees with some of its inputs
+
+
+class _Run(NamedTuple):
+    """Samples that were rejected in a row, the newest included."""
+
+    counted: Any  # {name: value} of the memory
+    y: Any  # (n_y,) innovation where the window would restart
+    square: Any  # of the second difference of innovations
+    s: Any  # (n_s,) the prediction from which it would restart
+    is_noisier: Any  # whether the newest one agrees if the noise is what they scatter
+    is_louder: Any  # whether the noise is taken to be that
+    restart: Any  # whether the window restarts
+    opposite: Any  # (n_s,) where the robot would be with the opposite heading, or None
+
+
+def _count(seen):
+    """How many outputs a sample has, at least one."""
+    return ca.fmax(ca.sum1(seen.has), 1)
+
+
 def _predictions(window, values):
     """With the measured inputs, and with those of them that the judge keeps."""
     if not window.at_measured_input:
@@ -385,31 +463,31 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, has_any, square, n, limit):
+def _counted(before, seen, square):
     """The run of rejected samples with this one (a dict), and whether the last ones are in line.
 
     Args:
         before: The memory before it.
-        has_any: Whether it has some outputs.
-        square: Of the second difference of their innovations, by the variances that are expected.
-        n: How many outputs.
-        limit: Of the distance, and of the square.
+        seen: The _Seen.
+        square: Of the second difference of innovations, by the variances that are expected.
     """
-    is_line = (before["rejected"] >= 2) * (square <= limit)
+    is_line = (before["rejected"] >= 2) * (square <= seen.limit)
+    spreads = noise_level.spreads(before, square / _count(seen), ca.sum1(seen.has) > 0, is_line)
     run = dict(
         rejected=before["rejected"] + 1,
         in_line=ca.if_else(is_line, before["in_line"] + 1, 0),
-        **noise_level.spreads(before, square / n, has_any, is_line),
+        **spreads,
     )
     return run, run["in_line"] >= TUNED.in_line
 
 
-def _remembered(run, is_used, restart, has_any, y, S, before):
+def _remembered(run, is_used, has_any, S, before):
     """The run of rejected samples, missing ones and their innovations, after this sample."""
-    goes_on = 1 - ca.logic_or(is_used * has_any, restart)  # without a sample that was used
+    goes_on = 1 - ca.logic_or(is_used * has_any, run.restart)  # without a sample that was used
     is_rejected = 1 - is_used
-    counted = {name: goes_on * ca.if_else(is_rejected, run[name], before[name]) for name in run}
-    trail = ca.if_else(has_any, ca.horzcat(y, before["trail"][:, 0]), before["trail"])
+    pairs = {name: (value, before[name]) for name, value in run.counted.items()}
+    counted = {name: goes_on * ca.if_else(is_rejected, *pair) for name, pair in pairs.items()}
+    trail = ca.if_else(has_any, ca.horzcat(run.y, before["trail"][:, 0]), before["trail"])
     return counted | dict(missing=goes_on * (before["missing"] + (1 - has_any)), trail=trail, S=S)
 
 
@@ -437,12 +515,12 @@ def _straight(prediction, strays):
     return prediction._replace(m=ca.if_else(strays, prediction.s, prediction.m))
 
 
-def _unknown(interval, z, before, has_any):
-    """How many samples in a row had outputs, but not all of their inputs, this one included."""
+def _lacks_inputs(interval, z):
+    """Whether the sample z lacks a measured input."""
     has_inputs = ca.SX(1)
     for row, limit in interval.input_outputs.values():
         has_inputs *= is_valid_measurement(z[row], limit)
-    return dict(unknown=before["unknown"] + has_any * (1 - has_inputs))
+    return 1 - has_inputs
 
 
 def _without(outputs, z):

@@ -12,9 +12,9 @@ There are two of them: with all inputs as they were "measured", and with those o
 "kept" if the judge doubts the others. Later iterations of `solve` take the input as it was
 estimated: they have to end where the problem's own slopes are.
 
-The window linearises its other intervals at inputs as they were estimated. One that was not measured
-may be estimated anywhere in a single step, such as beyond the pole of tan. So a step takes none
-beyond the range of the inputs that the window has had, and some σ.
+The window linearises its other intervals at inputs as they were estimated. One that was not
+measured may be estimated anywhere in a single step, such as beyond the pole of tan. So a step takes
+none beyond the range of the inputs that the window has had, and some σ.
 """
 
 import functools
@@ -78,7 +78,13 @@ def _build_interval(window):
 
     @casadi_function("rhe_newest_interval")
     def again(
-        prepared: pieces_of(window), m_M: s, P_M: P, s_M: s, z_N: z, age: (1, 1), iteration: (1, 1),
+        prepared: pieces_of(window),
+        m_M: s,
+        P_M: P,
+        s_M: s,
+        z_N: z,
+        age: (1, 1),
+        iteration: (1, 1),
         noise: window.noise,
     ):
         v_m, _ = interval.input_noise(z_N, prepared["v_N"], **noise)
@@ -117,7 +123,9 @@ def build(window, judge):
 
 def chosen(window, values, verdict):
     """The pieces that go with the judge's verdict."""
-    pairs = {name: (values[f"{name}_measured"], values[f"{name}_kept"]) for name in pieces_of(window)}
+    pairs = {
+        name: (values[f"{name}_measured"], values[f"{name}_kept"]) for name in pieces_of(window)
+    }
     return {name: ca.if_else(verdict["as_measured"], *pair) for name, pair in pairs.items()}
 
 

@@ -1,19 +1,21 @@
 """How noisy the judged measurements are, as the judge learns it from the samples themselves.
 
 A receiver may become many times noisier than its `sigma_v` says, such as RTK that falls to float.
-Its samples are rejected then, and those that ask for a restart scatter: their second differences
+Its samples are rejected then, and they scatter: their second differences
 
     q = mean of (y_k - 2 y_{k-1} + y_{k-2})² / (6 S)  over the samples rejected in a row
 
-tell by how much their variance exceeds S. Above `scattered` no restart among them would be right, and
-there is no need to wait for one. The variances V of the judged outputs are multiplied by q instead, in the whole window. If the sample
-agrees with its prediction then, the window goes on with it; otherwise it restarts with this noise.
-The factor follows the second differences until it is 1 again: innovations that are all alike are no
-noise, but an estimate that is off. At 1 it changes nothing.
+tell by how much their variance exceeds S. Above `scattered` no restart among them would be right,
+and there is no need to wait for one. The variances V of the judged outputs are multiplied by q
+instead, in the whole window. If the sample agrees with its prediction then, the window goes on with
+it; otherwise it restarts with this noise. The factor follows the second differences until it is 1
+again: innovations that are all alike are no noise, but an estimate that is off. At 1 it changes
+nothing.
 
-Where σ was said too small, or the model is coarse, good samples are rejected now and then. Once more
-than `many` of the last ones are, the gate's limit is multiplied by what the squares of the used
-samples are in the mean, until that is 1 again. Wild samples do not widen it: they are not used.
+Where σ was said too small, or the model is coarse, good samples are rejected now and then. Once
+more than `many` of the last ones are, the gate's limit is multiplied by what the squares of the
+used samples are in the mean, until that is 1 again. Wild samples do not widen it: they are not
+used.
 """
 
 from typing import NamedTuple
@@ -44,8 +46,8 @@ def scale_of(memory):
 
 
 def width_of(memory):
-    """The factor of the gate's limit."""
-    return ca.fmax(memory["width"], 1)
+    """The factor of the gate's limit: none beside one of the noise."""
+    return ca.if_else(memory["noise_scale"] > 1, 1, ca.fmax(memory["width"], 1))
 
 
 def square_of(memory, y, S):
@@ -72,27 +74,24 @@ def is_noisy(run, is_in_line):
     return spread > TUNED.scattered
 
 
-def followed(memory, square, d, is_used):
-    """Noise's factor and gate's width after a sample.
+def followed(memory, square, is_used):
+    """Noise's factor and gate's width after a sample, by name.
 
     Args:
         memory: The memory before the sample.
         square: Its second difference, as q.
-        d: y' S⁻¹ y / n of the n outputs that it has.
         is_used: Whether it has some and is used as it was measured.
     """
     scale = scale_of(memory)
-    # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean. If
-    # sample and difference are hundredths of it, the noise has ended, and it follows with 1/2.
-    slowly = ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square)))
-    most = ca.fmax(1.78 * square, d)
-    moved = ca.fmax(1, scale * ca.if_else(most > 0.01, slowly, ca.sqrt(most)))
+    # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean.
+    moved = ca.fmax(1, scale * ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))))
     width = width_of(memory)
     wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * square)
     wider = ca.fmin(wider, TUNED.widest)
     is_widening = is_used * ca.logic_or(width > 1, memory["share"] > TUNED.many)
     scale = ca.if_else(is_used * (scale > 1), moved, scale)
-    return scale, ca.if_else(is_widening, wider, width)
+    width = ca.if_else(is_widening * (scale <= 1), wider, width)
+    return dict(noise_scale=scale, width=width)
 
 
 def share_after(memory, is_rejected, has_any, n):

@@ -31,13 +31,7 @@ from rhec.core.estimator.base import (
     noise_shapes,
     variances_w,
 )
-from rhec.core.estimator.guard import (
-    ITERATED,
-    noise_as_used,
-    noise_memory,
-    whole_noise,
-    with_guard,
-)
+from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, whole_noise, with_guard
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -749,8 +743,9 @@ class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     A sample far outside its prediction is not used, and `ok` is False then; where such samples
-    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`). So it is,
-    and does, where the model's `steps` are too few for its slopes at the estimate.
+    follow each other the window restarts there, and where they scatter they count as noisier
+    (`rhec.core.estimator.innovation_gate`). It also restarts, and is not `ok`, where the model's
+    `steps` are too few for its slopes at the estimate.
 
     Args:
         model: The robot, a rhec.Model.
@@ -761,10 +756,12 @@ class RHE(RealTimeLoop):
             parameter. They enter the arrival cost, eq. (9), and with `noise_in_window` the window.
         guess: First guess of each state, then of each parameter.
         sigma_guess: Standard deviations of the guess.
-        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, so that on a
-            linear model the RHE is the Kalman filter; or "smoothed", from the previous solution.
+        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, or "smoothed",
+            from the previous solution. With "filtered" and `noise_in_window` the RHE is the Kalman
+            filter on a linear model; without that noise it trusts the model within the window.
         noise_in_window: Whether the process noise also acts within the window, whose states then
             need not follow the model exactly. `feedback` takes its standard deviations by sample.
+        outliers: Whether samples can be outliers. False: all of them are used.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -788,6 +785,7 @@ class RHE(RealTimeLoop):
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "filtered",
         noise_in_window: valid.Flag = False,
+        outliers: valid.Flag = True,
     ):
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
@@ -795,7 +793,8 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        window = Window(model, dt, horizon, arrival_mean, InnovationGate(), noise_in_window)
+        judge = InnovationGate(rejects=outliers)
+        window = Window(model, dt, horizon, arrival_mean, judge, noise_in_window)
         self._load(build_solvable, window, settings)
 
     def _load(self, build, window, settings):
@@ -861,6 +860,19 @@ class RHE(RealTimeLoop):
         self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
+
+    def restart(self) -> None:
+        """Let the next sample be the first, judged by the first guess."""
+        self.iteration.restart()
+
+    @property
+    def rejected(self) -> float:
+        """Share of samples that were rejected as outliers, a running mean over about 30 of them.
+
+        The mean is over three windows, if these are longer.
+        """
+        share = self.iteration.arrays.get("share_after")
+        return 0.0 if share is None else share.item()
 
     @property
     def x_window(self) -> np.ndarray:

@@ -179,7 +179,13 @@ class Model:
             functions.append(_noise_function(self))
         serialized = [function.serialize() for function in functions]
         integration = (self.steps, self.rule, self.discrete)
-        named = (self.names, self.limits, self.angles, self.heading, sorted(self.sigma_held.items()))
+        named = (
+            self.names,
+            self.limits,
+            self.angles,
+            self.heading,
+            sorted(self.sigma_held.items()),
+        )
         return repr((*named, self.bounds, integration, serialized))
 
     def __hash__(self) -> int:
