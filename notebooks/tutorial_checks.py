@@ -139,9 +139,9 @@ def _wrong_steps(xi, omega, p):
 
 @exercise
 def weights(q):
-    """Check the weights q of (x, y, θ): drive ten fields with W by likelihood."""
+    """Check the weights q of (x, y, θ): drive ten fields with W by prediction."""
     runs = [
-        simulate(Scenario(process_noise="likelihood", q=q, seed=seed, duration_s=60.0)).metrics
+        simulate(Scenario(process_noise="prediction", q=q, seed=seed, duration_s=60.0)).metrics
         for seed in SEEDS
     ]
     settled_s = [run["settling_time_s"] for run in runs]

@@ -30,7 +30,7 @@ def RHE(*, model: Model | None = None, **options: Any) -> rhe.RHE:
             guess, sigma_guess, arrival_mean and noise_in_window. Without one those of
             `rhec.tracked_robot.own_loop.RHE`: dt, horizon, process_noise, sigma_w, sigma_v,
             speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading,
-            track_width_m and guess.
+            track_width_m, yaw_drift and guess.
 
     Returns:
         An object of that class, whose `help` explains options and methods.

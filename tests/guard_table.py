@@ -106,7 +106,7 @@ def paper_estimators(process_noise, judge=ANY):
 
     values = dict(
         V=np.square(tuning.sigma_v_of(scenario)),
-        W=np.square(tuning.SIGMA_W["rhe"][process_noise]),
+        W=np.square(tuning.NOISES["rhe"][process_noise].sigma_w),
         m_0=guess(np.zeros(4)),
         P_0=np.square([paper_rhe.SIGMA_START[name] for name in names]),
     )

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import gammaincinv
 
+from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
 from notebooks.studies.tables import readable
@@ -29,14 +30,14 @@ from rhec.tracked_robot import tuning
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 ESTIMATORS = {  # fields of Scenario
     "EKF, printed": dict(estimator="ekf", process_noise="printed"),
-    "EKF, likelihood": dict(estimator="ekf", process_noise="likelihood"),
+    "EKF, prediction": dict(estimator="ekf", process_noise="prediction"),
     "EKF, consistent": dict(estimator="ekf", process_noise="consistent"),
     "RHE, printed": dict(process_noise="printed"),
-    "RHE, likelihood": dict(process_noise="likelihood"),
+    "RHE, prediction": dict(process_noise="prediction"),
     "RHE, consistent": dict(process_noise="consistent"),
-    "bounded EKF, likelihood": dict(estimator="bounded_ekf"),
-    "yaw-drift EKF, likelihood": dict(estimator="yaw_drift_ekf"),
-    "traction oracle": dict(estimator="traction_oracle"),
+    "bounded EKF, prediction": dict(estimator="bounded_ekf"),
+    "yaw-drift EKF, prediction": dict(estimator=RIVALS["yaw_drift_ekf"]),
+    "traction oracle": dict(estimator=RIVALS["traction_oracle"]),
 }
 
 

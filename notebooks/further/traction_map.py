@@ -15,6 +15,7 @@ import itertools
 import numpy as np
 import pandas as pd
 
+from notebooks.rivals import RIVALS
 from notebooks.studies.answer import to_markdown
 from notebooks.studies.statistics import over_seeds, ratio_of_means
 from rhec import paper
@@ -108,7 +109,10 @@ def _drives(fields, loop, settings):
         return [dataclasses.replace(each, estimator="bounded_ekf", **settings) for each in fields]
     return [
         dataclasses.replace(
-            each, estimator="fixed_traction", terrain=told_soil(each.terrain, loop), **settings
+            each,
+            estimator=RIVALS["fixed_traction"],
+            terrain=told_soil(each.terrain, loop),
+            **settings,
         )
         for each in fields
     ]

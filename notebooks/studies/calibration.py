@@ -1,11 +1,11 @@
-"""Process noise W from training seeds, never from the paper's results: by likelihood (G1, G2), by
+"""Process noise W from training seeds, never from the paper's results: by prediction (G1, G2), by
 consistency and by tracking, each for RHE and EKF alike. Seeds below 1000 are never used.
 
 All estimators are tuned by the same rules, in the default world and with the arrival mean that
 ACADO's code has: the same bounds on a standard deviation per sample, and for each rule the same
 search.
 
-By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
+By prediction. 1. Drive the default scenario on the training seeds with the true state in the loop,
 so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
 its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
 deviations behind W that minimise the deviance summed over all training runs (`search`).
@@ -27,6 +27,7 @@ import contextlib
 
 import numpy as np
 
+from notebooks.rivals import by_name
 from rhec import paper
 from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
@@ -72,7 +73,8 @@ def deviance(estimator, sigma_w, runs, **fields):
 
     `fields` are other settings of the estimator, fields of Scenario.
     """
-    scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
+    sigma_w = tuple(map(float, sigma_w))
+    scenario = Scenario(estimator=by_name(estimator), sigma_w=sigma_w, **fields)
     return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
 
 
@@ -180,8 +182,8 @@ def tune_for_tracking(estimator):
 
 if __name__ == "__main__":
     for name in UNKNOWNS:
-        print("by likelihood", name, *calibrate(name))
+        print("by prediction", name, *calibrate(name))
     for name in ("rhe", "ekf", "augmented_ekf"):
-        print("by likelihood on soft soil", name, *calibrate(name, **SOFT_SOIL))
+        print("by prediction on soft soil", name, *calibrate(name, **SOFT_SOIL))
     for name in OF_ERRORS:
         print("by tracking", name, *tune_for_tracking(name))

@@ -107,7 +107,7 @@ _DISCRETE = ("command_delay",)
 W_RHE = {
     "printed": dict(process_noise="printed"),
     "smoothed": dict(process_noise="printed", arrival_mean="smoothed"),
-    "likelihood": dict(process_noise="likelihood"),
+    "prediction": dict(process_noise="prediction"),
     "consistent": dict(process_noise="consistent"),
 }
 W_EKF = ("printed", "free")  # free: sigma_ekf_m and sigma_ekf_ratio_radpm of the world
@@ -237,11 +237,11 @@ for _w in W_RHE:
 OF_PRIOR = tuple(VARIANTS)  # what the prior's worlds drive; the posterior's drive all
 # Each rule for both estimators, and what else is driven: {name: (W of the RHE, of the EKF)}.
 RULES = {
-    "likelihood": ("likelihood", "likelihood"),
+    "prediction": ("prediction", "prediction"),
     "consistent": ("consistent", "consistent"),
     "tracking": ("tracking", "tracking"),
     "as printed": ("printed", "printed"),
-    "RHE as printed, EKF by likelihood": ("printed", "likelihood"),
+    "RHE as printed, EKF by prediction": ("printed", "prediction"),
 }
 VARIANTS |= {f"ekf_{w}": ("ekf", w, paper.Q3, False) for _, w in RULES.values()}
 VARIANTS |= dict(rhe_tracking=("rhe", "tracking", paper.Q3, False))
@@ -765,7 +765,7 @@ def drive_prior(n, folder):
     """
     ranges = {name: prior[:3] for name, prior in PRIORS.items()}
     variants = {name: VARIANTS[name] for name in OF_PRIOR}
-    design = repr((ranges, variants, W_RHE, tuning.SIGMA_W, _KEPT)).encode()
+    design = repr((ranges, variants, W_RHE, tuning.NOISES, _KEPT)).encode()
     design = hashlib.sha256(design).hexdigest()[:16]
     folder = store.open_folder(folder) / design
     folder.mkdir(exist_ok=True)

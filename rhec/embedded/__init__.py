@@ -24,7 +24,6 @@ from rhec.embedded import c_writer, phases
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
-from rhec.tracked_robot.choice import TractionInput
 from rhec.tracked_robot.estimators import NAMES, estimator_of
 from rhec.tracked_robot.rhe import SIGMA_START
 
@@ -34,8 +33,9 @@ FOLDER = Path("build", "embedded")
 LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log, without sensors
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
-_EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
-_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback", yaw_rate_interval="before")
+# Of what an estimator may be told, what no robot can know.
+_TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="truth")
+_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 _UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
@@ -102,7 +102,7 @@ def _of_model(parts):
         )
     if len(by_name) == 2:
         rhe = by_name["rhe"].window
-        rhc = by_name["rhc"].problem
+        rhc = by_name["rhc"].stages
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
     export = phases.export_model(**by_name)
@@ -172,11 +172,8 @@ def _check(scenario):
 def _obstacle(estimator):
     """Why an estimator cannot be exported; "" if it can."""
     described = estimator_of(estimator)
-    if described.traction_input not in _EXPORTED:
-        return f"which needs the {described.traction_input.value}"
-    if described.has_yaw_drift:
-        return "whose yaw drift the exported controller does not cancel"
-    return ""
+    unknown = [_TRUTHS[name] for name in described.told if name in _TRUTHS]
+    return f"which needs the {' and the '.join(unknown)}" if unknown else ""
 
 
 def _check_controller(scenario):

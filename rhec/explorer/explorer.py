@@ -339,7 +339,7 @@ class Explorer(widgets.VBox):
             slider.disabled = noise != "custom"
             if slider.disabled:
                 self.is_paused = True  # no run follows this change
-                slider.value = tuning.SIGMA_W["rhe"][noise or "printed"][place]
+                slider.value = tuning.NOISES["rhe"][noise].sigma_w[place]
                 self.is_paused = False
 
     def _fold_sensors(self):

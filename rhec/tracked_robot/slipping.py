@@ -97,4 +97,4 @@ _MODEL = Model(
         process=_process_noise,
     ),
 )
-SLIPPING = SpeedModel(_MODEL, tuning.SIGMA_W_SLIPPING)
+SLIPPING = SpeedModel(_MODEL, tuning.SLIPPING_NOISE)

@@ -251,7 +251,7 @@ def box_of(scenario, path):
     length = box[1] - box[0]
     width = box[3] - box[2]
     if not np.ceil(length / _CELL_M) * np.ceil(width / _CELL_M) <= _MOST_CELLS:
-        names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m"]
+        names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m", "turns"]
         given = ", ".join(f"{name} {shown(getattr(scenario, name))}" for name in names)
         raise ValueError(
             f"start_offset_m was {scenario.start_offset_m!r} with {given}; they need a field of "

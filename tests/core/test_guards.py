@@ -140,7 +140,7 @@ def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
 
 def test_the_live_estimator_is_that_of_the_loop_and_has_no_kkt_where_it_is_not_ok():
     z = table.spoiled(table.Case("paper, printed", "later", "moved for good by 5 m"), DRIVES).z[0]
-    live = rhec.RHE(arrival_mean="filtered")
+    live = rhec.RHE(process_noise="printed")
     estimator = table.ROBOTS["paper, printed"].estimators()["RHE"]
     drives = table.Drives(z[None], z[None, :, :2])
     (places,), (ok,) = table.run(estimator, drives)
@@ -157,7 +157,7 @@ def test_a_closed_loop_drives_on_after_a_repeated_and_then_a_wild_position():
         rhec.Fault(kind="stuck", start_s=19.8, duration_s=0.2),
         rhec.Fault(kind="outliers", start_s=20.0, duration_s=0.2, size_m=1000.0),
     )
-    scenario = rhec.Scenario(duration_s=40.0, faults=faults)
+    scenario = rhec.Scenario(process_noise="printed", duration_s=40.0, faults=faults)
     hit = rhec.simulate(scenario).log
     spared = rhec.simulate(dataclasses.replace(scenario, faults=())).log
     assert (~hit["ok"]).sum() == 1

@@ -23,7 +23,7 @@ from rhec.explorer import controls, explorer, field_run
 from rhec.explorer.panels import packed
 from rhec.tracked_robot import tuning
 
-SHORT = rhec.Scenario(process_noise="likelihood", duration_s=60.0)
+SHORT = rhec.Scenario(process_noise="prediction", duration_s=60.0)
 
 
 @pytest.fixture
@@ -32,11 +32,11 @@ def made(tmp_path):
 
 
 def test_its_lists_show_what_drives():
-    start = rhec.Scenario(estimator="augmented_ekf", duration_s=20.0)
+    start = rhec.Scenario(estimator="oracle", duration_s=20.0)
     made = rhec.Explorer(start, against="bounded_ekf")
     lists = (made.estimator, made.against, made.process_noise)
-    assert [each.label for each in lists] == ["augmented_ekf", "bounded_ekf", "usual"]
-    assert [run.scenario.estimator for run in made.runs] == ["augmented_ekf", "bounded_ekf"]
+    assert [each.label for each in lists] == ["oracle", "bounded_ekf", "usual"]
+    assert [run.scenario.estimator for run in made.runs] == ["oracle", "bounded_ekf"]
 
 
 def shown(made):
@@ -64,7 +64,7 @@ STARTS = [
     rhec.Scenario(),
     rhec.Scenario(
         estimator="ekf",
-        process_noise="likelihood",
+        process_noise="prediction",
         q=paper.Q1,
         r=3.3,
         seed=7,
@@ -98,7 +98,9 @@ def test_the_tabs_are_the_groups_of_the_scenario():
 def test_own_process_noise_has_the_size_each_estimator_takes():
     """The slider's entry stays, and what is not estimated falls out."""
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
-    pose, traction = (tuning.SIGMA_W["rhe"]["likelihood"][part] for part in (slice(3), slice(4, 6)))
+    pose, traction = (
+        tuning.NOISES["rhe"]["prediction"].sigma_w[part] for part in (slice(3), slice(4, 6))
+    )
     expected = {
         "parameter": (*pose, 0.5, *traction),
         "input": (*pose, *traction),
@@ -109,7 +111,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         assert controls.scenario_of(given, "rhe", SHORT).sigma_w == sigma_w
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*pose, 0.5)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
+    assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
 
 
 def test_sensors_and_their_faults_apply_to_the_rhe():
@@ -429,13 +431,13 @@ def test_its_text_is_the_errors_and_the_scenario(made):
 
 def test_sliders_of_w_show_the_w_in_use(made):
     sliders = [made.inputs["sigma_w", place] for place in range(6)]
-    for noise in ("printed", "likelihood"):
+    for noise in ("printed", "prediction"):
         made.process_noise.value = noise
-        assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
+        assert tuple(slider.value for slider in sliders) == tuning.NOISES["rhe"][noise].sigma_w
         assert all(slider.disabled for slider in sliders)
     made.process_noise.value = "custom"
     assert not any(slider.disabled for slider in sliders)
-    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["likelihood"]
+    assert made.runs[0].scenario.sigma_w == tuning.NOISES["rhe"]["prediction"].sigma_w
     sliders[5].value = 0.1
     assert made.runs[0].scenario.sigma_w[5] == 0.1
 

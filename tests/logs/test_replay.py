@@ -13,6 +13,7 @@ from helpers import KAPPA, MU, TRACK_WIDTH_M, Bomb, may_be_unsure, recorded_log
 
 import rhec
 from notebooks.further.recorded import scores
+from notebooks.rivals import RIVALS
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH
@@ -453,7 +454,10 @@ def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):
     "given, sentence",
     [
         (dict(estimator="oracle"), "^estimator was 'oracle'"),
-        (dict(estimator="fixed_traction"), "^estimator was 'fixed_traction'"),
+        (
+            dict(estimator=RIVALS["fixed_traction"]),
+            "^estimator was Estimator.'fixed_traction_step'",
+        ),
         (dict(estimator="kalman"), "^estimator was 'kalman'"),
         (dict(sed=1), "^replay has no parameter 'sed'"),
         (dict(process_noise="bold"), "^process_noise was 'bold'"),

@@ -5,7 +5,7 @@ import pytest
 
 import rhec
 from notebooks.studies import calibration
-from rhec.tracked_robot.tuning import SIGMA_W
+from rhec.tracked_robot.tuning import NOISES
 
 
 @pytest.fixture(scope="module")
@@ -18,10 +18,15 @@ def runs():
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
 def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed(estimator, runs):
-    calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["likelihood"], runs)
-    assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator]["printed"], runs) - 100
+    calibrated = calibration.deviance(estimator, NOISES[estimator]["prediction"].sigma_w, runs)
+    assert (
+        calibrated
+        < calibration.deviance(estimator, NOISES[estimator]["printed"].sigma_w, runs) - 100
+    )
     for factor in (0.1, 10):  # and better than others near it, within the bounds of the search
-        other = np.maximum(factor * np.array(SIGMA_W[estimator]["likelihood"]), calibration.LEAST)
+        other = np.maximum(
+            factor * np.array(NOISES[estimator]["prediction"].sigma_w), calibration.LEAST
+        )
         assert calibrated < calibration.deviance(estimator, other, runs)
 
 

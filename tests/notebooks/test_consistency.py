@@ -6,6 +6,7 @@ from helpers import SIMPLE_WORLD
 from scipy import stats
 
 from notebooks.further import consistency
+from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
 from rhec import Scenario
 from rhec.simulation import offline
@@ -77,7 +78,7 @@ def runs():
 
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
-    told = consistency.measure(Scenario(estimator="traction_oracle"), runs)
+    told = consistency.measure(Scenario(estimator=RIVALS["traction_oracle"]), runs)
     printed = consistency.measure(Scenario(estimator="ekf", process_noise="printed"), runs)
     later = told.t_s >= offline.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6
@@ -96,7 +97,7 @@ def training_runs():
 def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, training_runs):
     """Beside it the likeliest W is too sure: innovations do not tell."""
     nees = {}
-    for name in ("consistent", "likelihood"):
+    for name in ("consistent", "prediction"):
         found = consistency.measure(
             Scenario(estimator=estimator, process_noise=name), training_runs
         )
@@ -105,7 +106,7 @@ def test_a_consistent_w_is_as_sure_as_it_may_be_in_each_state(estimator, most, t
         if name == "consistent":
             ratios = np.sqrt(consistency.mean_square_errors(found).mean(axis=0))
             assert ((ratios > 0.75) & (ratios < 1.25)).all()
-    assert 0.9 < nees["consistent"] < most and nees["likelihood"] > 2 * most
+    assert 0.9 < nees["consistent"] < most and nees["prediction"] > 2 * most
 
 
 def test_the_search_for_consistency_prices_what_lies_outside_its_band(monkeypatch):

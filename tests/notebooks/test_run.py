@@ -27,7 +27,7 @@ seed: int = 7  # as of rhec.Scenario
 seeds: whole(2, 1000) = 20
 speed_mps: float = 0.5  # [m/s] as of rhec.Scenario
 delay_s: real(-10, 10) = 0
-process_noise: Literal["printed", "likelihood"] = "printed"
+process_noise: Literal["printed", "prediction"] = "printed"
 gains: list[real(0, 100)] = [1, 2.5]
 is_robust: bool = False
 file: str = "log.csv"
@@ -52,7 +52,7 @@ def executed(cell=CELL, **injected):
         (
             "process_noise",
             "guess",
-            "process_noise was 'guess'; it should be 'printed' or 'likelihood'",
+            "process_noise was 'guess'; it should be 'printed' or 'prediction'",
         ),
         ("gains", [1, False], "gains[1] was False; it should be a number"),
         ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
@@ -67,7 +67,7 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
 
 
 def test_values_within_the_types_pass():
-    allowed = dict(seed=0, seeds=1000, speed_mps=1, gains=(), process_noise="likelihood")
+    allowed = dict(seed=0, seeds=1000, speed_mps=1, gains=(), process_noise="prediction")
     parameters(executed(**allowed, is_robust=True))
 
 
@@ -101,7 +101,7 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
     assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
-    assert "process_noise: printed or likelihood" in shown
+    assert "process_noise: printed or prediction" in shown
     assert "-p seed 0" in shown
 
 

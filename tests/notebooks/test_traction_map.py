@@ -7,6 +7,7 @@ import pytest
 
 import rhec
 from notebooks.further import traction_map
+from notebooks.rivals import RIVALS
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import random_for
 
@@ -35,7 +36,7 @@ def test_no_robot_is_told_of_more_traction_than_there_can_be():
 def test_a_robot_drives_by_what_it_is_told(told, expected):
     """On even soil a robot that is told its traction is the one that was told these constants."""
     scenario = rhec.Scenario(
-        estimator="fixed_traction", duration_s=5.0, mu_mean=0.88, mu_deviation=0.0,
+        estimator=RIVALS["fixed_traction"], duration_s=5.0, mu_mean=0.88, mu_deviation=0.0,
         kappa_mean=0.8, kappa_deviation=0.0,
     )  # fmt: skip
     soil = random_for(scenario, path_of(scenario))

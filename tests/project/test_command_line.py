@@ -213,6 +213,6 @@ def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch,
     monkeypatch.setenv("HOME", str(tmp_path))
     script = tmp_path / "script"
     assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
-    words = "kappa-mean lever-arm-m process-noise soft_soil drift_oracle prepared_anew".split()
+    words = "kappa-mean lever-arm-m process-noise soft_soil bounded_ekf prepared_anew".split()
     assert all(word in script.read_text() for word in words)
     assert re.search("wet.* patches", script.read_text())

@@ -295,14 +295,14 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     """Each field alone, by as little as there is of a number; and parts of soils, paths, steps."""
     soil, path = rhec.Terrain.uniform(0.7, 0.6), rhec.Path.from_segments([(20.0, 0.0)])
     changes = dict(
-        estimator="rhe", process_noise="likelihood", sigma_v=(0.1,) * 4, sigma_w=(1.0,) * 4,
+        estimator="rhe", process_noise="prediction", sigma_v=(0.1,) * 4, sigma_w=(1.0,) * 4,
         speed_model="input", slip=(0.2, 0.1, 0.1, 0.02, 0.05), arrival_mean="smoothed",
-        yaw_rate_interval="after", input_reference="curvature", command_delay=1,
+        input_reference="curvature", command_delay=1,
         traction_timing="sample_before", controller=own_controller(SHORT), soil_under="centre",
-        backwards=True, path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
+        backwards=True, turns="left", path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),
     )  # fmt: skip
-    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading")
+    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading", "yaw_drift")
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name not in only_of_the_rhe:
             old = getattr(SHORT, field.name)
@@ -324,6 +324,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         sensing,
         sensing | dict(sigma_gyro=(0.03, 0.1)),
         sensing | dict(sigma_heading=0.05),
+        dict(estimator="rhe", yaw_drift=True, sigma_w=None),
     ]
     more += [{name: value} for name, value in changes.items()]
     scenarios = [SHORT, *(dataclasses.replace(SHORT, **each) for each in more)]

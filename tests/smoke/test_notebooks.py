@@ -37,7 +37,8 @@ SMALL = {
     ),
     "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
     "08_interpretations": Small(
-        dict(seeds=2, paired_seeds=4, training_seeds=1), ("audit_interpretations",)
+        dict(seeds=2, paired_seeds=4, order_fields=4, training_seeds=1),
+        ("audit_interpretations", "audit_order"),
     ),
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
@@ -47,7 +48,7 @@ SMALL = {
     ),
     "further/tolerance": Small(dict(fields=2), ("table_tolerance",)),
     "01_tutorial": Small(dict(seeds=2)),
-    "04_scenario_b": Small(dict(seeds=8, fields=4), ("table_scenario_b",)),
+    "04_scenario_b": Small(dict(seeds=8, beside=4, fields=4), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=4), ("table_scenario_a",)),
     "07_which_worlds": Small(
         dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")

@@ -4,9 +4,11 @@ Source: `notebooks.further.tune_loops`, with 40 evaluations for each unknown on 
 1000 to 1023, drives of 240 s. The comment is the mean true error on them.
 """
 
+from notebooks.rivals import RIVALS
+
 TUNED: dict[str, dict] = {
     "fixed_traction": dict(  # 0.01326 m
-        estimator="fixed_traction",
+        estimator=RIVALS["fixed_traction"],
         sigma_w=(0.013, 0.013, 0.0335, 0.216),
         q=(1.0, 1.0, 0.0291),
         r=0.0101,
@@ -26,7 +28,7 @@ TUNED: dict[str, dict] = {
         r=0.00183,
     ),
     "rhe_fixed": dict(  # 0.01319 m
-        estimator="rhe_fixed_traction",
+        estimator=RIVALS["rhe_fixed_traction"],
         arrival_mean="filtered",
         sigma_w=(0.00927, 0.00927, 0.00138, 1.66),
         q=(1.0, 1.0, 0.0939),
@@ -34,13 +36,13 @@ TUNED: dict[str, dict] = {
         r=0.00121,
     ),
     "yaw_drift_ekf": dict(  # 0.01304 m
-        estimator="yaw_drift_ekf",
+        estimator=RIVALS["yaw_drift_ekf"],
         sigma_w=(0.00185, 0.00185, 0.0125, 5.84, 0.122, 0.00144, 0.000955),
         q=(1.0, 1.0, 0.0337),
         r=0.00175,
     ),
     "traction_oracle": dict(  # 0.01322 m
-        estimator="traction_oracle",
+        estimator=RIVALS["traction_oracle"],
         sigma_w=(0.012, 0.012, 0.0335, 0.287),
         q=(1.0, 1.0, 0.0338),
         r=0.0108,

@@ -73,6 +73,9 @@ static void restart(struct rhec *r, const double guess[], const double other[])
                                                : fallback[i];
     }
     estimator_start(r);
+#ifdef RHEC_YAW_DRIFT
+    r->estimator.yaw_drift[0] = 0;
+#endif
 #ifdef RHEC_PATH
     path_closest(r);
 #endif
@@ -223,6 +226,9 @@ int rhec_control(struct rhec *r, double *omega)
     memcpy(r->controller.s_0, r->estimate, sizeof r->estimate);
     status |= controller_step(r);
     r->omega[0] = r->controller.u_plan[0];
+#ifdef RHEC_YAW_DRIFT
+    r->omega[0] -= r->path.disturbance[0]; /* the plan is of both */
+#endif
     *omega = r->omega[0];
     return status;
 }
