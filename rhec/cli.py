@@ -22,7 +22,7 @@ import numpy as np
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import rhec
-from rhec.style import replacing
+from rhec.files import replacing
 
 __all__ = ["main"]
 
@@ -433,7 +433,7 @@ def calibrate(
     print(*found.remarks, sep="\n", end="\n" if found.remarks else "", file=sys.stderr)
     if yaml:
         with replacing(yaml) as unfinished:
-            unfinished.write_text(found.yaml, encoding="utf-8")
+            unfinished.write(found.yaml.encode())
 
 
 def replay(

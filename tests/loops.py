@@ -78,6 +78,7 @@ LOOPS |= {
             faults=(NO_GYRO, OFF),
         )
     ),
+    "yaw drift alone": Loop(dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), ("live",)),
     "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
     "everything else": Loop(EVERYTHING_ELSE, ("live",)),
     "own": Loop(dict(estimator=own_estimator()), ("live",)),

@@ -6,8 +6,8 @@ tuned without truth, with a noise seed that no trial has: on the same log, or on
 geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
 (`tuning.SLIP`). Its rivals are the EKFs of `rhec.logs.rivals`, with (μ, κ) and with five parameters
 of centres of rotation, whose noise has the form of the RHE's. They are tuned by the likelihood of
-their innovations, with the same number of evaluations for each unknown as in
-`notebooks.studies.calibration`.
+their innovations, with the same number of evaluations for each unknown
+(`notebooks.studies.calibration.search`).
 
     python -m notebooks.further.transfer [FOLDER [SEEDS]]
 
@@ -38,6 +38,7 @@ _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
+_MOST = 10.0  # of a standard deviation
 _UNUSABLE = 1e12  # the objective where a filter diverges
 _SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
@@ -120,7 +121,8 @@ def _tuned(title, log):
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
-    return search(objective, _SEARCHED[title])[0]
+    sigma = search(objective, _SEARCHED[title], most=_MOST)
+    return tuple(float(f"{value:.2g}") for value in sigma)
 
 
 def _middle(calibrations):

@@ -24,6 +24,7 @@ from scipy.stats import qmc
 from notebooks.rivals import RIVALS
 from notebooks.studies.calibration import tracking_error_m
 from rhec import paper
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
 EVALUATIONS = 40  # for each unknown
@@ -39,17 +40,18 @@ BOUNDS |= dict(sigma_omega=(5e-3, 0.5))
 _POSE = ("xy", "theta", "nu")
 _RHC = ("r", "q_theta")
 _SOIL = ("mu", "kappa")
-_FILTERED = dict(arrival_mean="filtered")
+_OF_RHE = (*_RHC, *_POSE, *_SOIL, "sigma_omega")
 LOOPS = {  # {loop: (fields of Scenario that it keeps, its unknowns)}
+    "ekf": (dict(estimator="ekf"), _RHC + _POSE),
     "fixed_traction": (dict(estimator=RIVALS["fixed_traction"]), _RHC + _POSE),
     "bounded_ekf": (dict(estimator="bounded_ekf"), _RHC + _POSE + _SOIL),
-    "rhe": (dict(estimator="rhe") | _FILTERED, _RHC + _POSE + _SOIL + ("sigma_omega",)),
-    "rhe_fixed": (
-        dict(estimator=RIVALS["rhe_fixed_traction"]) | _FILTERED,
-        _RHC + _POSE + ("sigma_omega",),
-    ),
+    "rhe": (dict(estimator="rhe"), _OF_RHE),
+    "rhe_yaw_drift": (dict(estimator="rhe", yaw_drift=True), (*_OF_RHE, "drift")),
+    "rhe_gyro": (dict(estimator="rhe", sensors=("gyro",)), _OF_RHE),
+    "rhe_fixed": (dict(estimator=RIVALS["rhe_fixed_traction"]), _RHC + _POSE + ("sigma_omega",)),
     "yaw_drift_ekf": (dict(estimator=RIVALS["yaw_drift_ekf"]), _RHC + _POSE + _SOIL + ("drift",)),
     "traction_oracle": (dict(estimator=RIVALS["traction_oracle"]), _RHC + _POSE),
+    "drift_oracle": (dict(estimator=RIVALS["drift_oracle"]), _RHC + _POSE),
     "oracle": (dict(estimator="oracle"), _RHC),
 }
 
@@ -70,7 +72,7 @@ def fields_of(loop, values):
 def _first_points(loop):
     """Logarithms of W by prediction with R = 10, 1 and 0.1, and of other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
-    rules = tuning.noises_of(kept["estimator"])
+    rules = tuning.noises_of(tuning.name_of_noise(Scenario(**kept)))
     predicting = rules["prediction"].sigma_w if rules else ()
     bounds = np.array([BOUNDS[name] for name in unknowns])
     for r in (10.0, 1.0, 0.1):

@@ -380,6 +380,7 @@ def _one_error(axes, name, run):
     largest_m = error_m[run.log["t_s"] > _START_S].max()
     if largest_m > _MOST_ERROR_M:
         at = dict(xycoords="axes fraction", color=COLOURS[name], ha="right", va="top")
+        at |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
         parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
 
 

@@ -3,6 +3,7 @@
 Here (μ, κ) are inputs that are measured almost exactly.
 """
 
+import dataclasses
 import functools
 
 import casadi as ca
@@ -16,9 +17,9 @@ from rhec.core.estimator import rhe as core_rhe
 from rhec.core.model.base import Model
 from rhec.tracked_robot import rhe
 from rhec.tracked_robot.choice import TOLD as SHAPES
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f, f_with_drift
 
-TOLD = dict(rhe_fixed_traction=("mean_traction",), rhe_no_slip=())
+TOLD = dict(rhe_fixed_traction=("mean_traction",), rhe_no_slip=(), rhe_no_slip_yaw_drift=())
 _SIGMA_HELD = 1e-6
 _HELD = Model(
     states=QUANTITIES[:3],
@@ -28,34 +29,45 @@ _HELD = Model(
     f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
     max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
 )
+_HELD_DRIFTING = dataclasses.replace(
+    _HELD,
+    parameters=_HELD.parameters | {YAW_DRIFT: None},
+    f=lambda xi, u, p: f_with_drift(xi, u[0], ca.vertcat(p[0], u[1:], p[1])),
+)
 
 
 @functools.cache
 def rival(name, horizon=paper.HORIZON, arrival_mean="filtered"):
-    """The RHE as a rhec.Estimator, "rhe_fixed_traction" or "rhe_no_slip"."""
+    """The RHE as a rhec.Estimator, by a name in TOLD."""
+    has_drift = name.endswith("yaw_drift")
+    model = _HELD_DRIFTING if has_drift else _HELD
+    quantities = (*QUANTITIES, YAW_DRIFT) if has_drift else QUANTITIES
     window = core_rhe.Window(
-        _HELD, paper.DT_S, horizon, arrival_mean, rhe.JUDGE, quantities=QUANTITIES
+        model, paper.DT_S, horizon, arrival_mean, rhe.JUDGE, quantities=quantities
     )
     return rhec.Estimator(
         _build_step(name, window, TOLD[name]),
         first=_first(window),
-        states=_HELD.joint_names,
+        states=model.joint_names,
         noises=NOISES[name],
     )
 
 
 def _build_step(name, window, told):
     """The step of the RHE, with the traction appended to the measurements."""
+    model = window.model
     step = core_rhe.build_phases(window)["step"]
+    if YAW_DRIFT in model.names:
+        step = rhe.with_drift_apart(step)
     inputs = dict(memory=ca.MX.sym("memory", step.size1_in("memory")))
-    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), W=ca.MX.sym("W", _HELD.n_s))
+    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), W=ca.MX.sym("W", model.n_s))
     inputs |= {signal: ca.MX.sym(signal, *SHAPES[signal]) for signal in told}
     traction = ca.vertcat(*(inputs[signal] for signal in told)) if told else ca.DM.ones(2)
     values = inputs | dict(
         z_N=ca.vertcat(inputs["z_N"], traction),
         V=ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2),
-        P_0=np.square([rhe.SIGMA_START[state] for state in _HELD.joint_names]),
-        m_0=np.zeros(_HELD.n_s),
+        P_0=np.square([rhe.SIGMA_START[state] for state in model.joint_names]),
+        m_0=np.zeros(model.n_s),
     )
     results = step.call([values[place] for place in step.name_in()])
     options = {"allow_duplicate_io_names": True}
@@ -64,17 +76,21 @@ def _build_step(name, window, told):
 
 def _first(window):
     """The Function (guess, sigma) -> first memory, which is affine in guess and sigma²."""
-    n = len(QUANTITIES)
+    names = (*QUANTITIES, YAW_DRIFT)
+    n_known = len(QUANTITIES)
+    n = len(names)
 
     def memory(both):
-        guess, sigma = (dict(zip(QUANTITIES, part)) for part in np.split(both, 2))
+        guess, sigma = (dict(zip(names, part)) for part in np.split(both, 2))
         return pack_array(rhe.init(window, guess, sigma))
 
     constant = memory(np.zeros(2 * n))
     # Missing measurements are NaN for any guess, so that their slope is 0.
     slopes = np.nan_to_num(np.column_stack([memory(unit) - constant for unit in np.eye(2 * n)]))
-    guess = ca.SX.sym("guess", n)
+    guess = ca.SX.sym("guess", n_known)
     sigma = ca.SX.sym("sigma", n)
-    first = ca.DM(constant) + ca.sparsify(ca.DM(slopes)) @ ca.vertcat(guess, sigma**2)
+    # The first guess of the yaw drift is 0.
+    known = ca.vertcat(guess, 0, sigma**2)
+    first = ca.DM(constant) + ca.sparsify(ca.DM(slopes)) @ known
     names = ["guess", "sigma"], ["memory"]
     return ca.Function("first", [guess, sigma], [ca.densify(first)], *names)

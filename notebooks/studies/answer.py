@@ -324,6 +324,9 @@ def _said(verdict):
 def in_short(table):
     """Whether Scenario B reproduced, in one sentence.
 
+    *Yes* needs the order in every case of rule and turns, both mean errors as printed, and no
+    violation. *In part* needs one of these, or the order in more than half of the cases.
+
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
@@ -335,7 +338,9 @@ def in_short(table):
         numbers.number("EKF", _ERROR, "printed") == MET,
         numbers.never("printed") == HOLDS,
     ]
-    short = "Yes" if all(words) else "In part" if any(words) else "No"
+    orders = [word == HOLDS for word in _orders(patterns).values()]
+    in_part = any(words) or sum(orders) > len(orders) / 2
+    short = "Yes" if all(words) else "In part" if in_part else "No"
     parts = [_says_order(patterns), *_says_lost(patterns), _says_error(numbers)]
     return f"{short}: {'; '.join(parts)}."
 

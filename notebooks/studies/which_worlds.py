@@ -30,6 +30,7 @@ from notebooks.studies import abc_regression, statistics
 from notebooks.studies.parallel import map_runs
 from notebooks.studies.tables import interval_text
 from rhec import paper
+from rhec.files import replacing
 from rhec.simulation.campaigns import store
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.metrics import SETTLING_SAMPLES
@@ -778,9 +779,8 @@ def drive_prior(n, folder):
             unit = every[first : first + _BLOCK]
             fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
             packed = pack(drive(fields, FIRST_SEED + FIELDS * first))
-            unfinished = file.with_suffix(".unfinished")
-            _write(packed, unfinished)
-            unfinished.replace(file)
+            with replacing(file) as unfinished:
+                _write(packed, unfinished)
             print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
         blocks.append(pd.read_parquet(file))
     return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])

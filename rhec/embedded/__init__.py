@@ -7,10 +7,9 @@ the programs replay.c, times.c, fuzz.c, which only the export of a Scenario rece
 64-bit Arm.
 """
 
+import contextlib
 import dataclasses
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.embedded import c_writer, phases
+from rhec.files import UNFINISHED, replacing
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
@@ -38,7 +38,6 @@ _TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="trut
 _EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
 _PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
-_UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
 
 
 def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
@@ -77,17 +76,13 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
 
 
 def _write(folder, texts):
-    """Write files into a folder; all are written before the first one is replaced.
-
-    This happens inside the folder, because it may be the root of another file system, across which
-    nothing can be renamed.
-    """
+    """Write files into a folder; all are written before the first one is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
+    with contextlib.ExitStack() as files:
         for name, text in texts.items():
-            Path(unfinished, name).write_text(text, encoding="utf-8")
-        for name in texts:
-            os.replace(Path(unfinished, name), folder / name)
+            unfinished = files.enter_context(replacing(folder / name))
+            unfinished.write(text.encode())
+            unfinished.flush()
 
 
 def _of_model(parts):
@@ -201,7 +196,7 @@ def _check_folder(folder):
 def _has_other_files(folder):
     # The root of a file system may have a folder for what its repair finds.
     names = {file.name for file in folder.iterdir()} - {"lost+found"}
-    return any(not name.startswith(_UNFINISHED) for name in names)
+    return any(not name.startswith(UNFINISHED) for name in names)
 
 
 def _refuse_folders(folder, names):

@@ -151,8 +151,8 @@ for _control in _CONTROLS:
 
 # Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
 PATCH = (
-    Slider(0, "along x [m]", -10, 45, 0.5, "The first row runs along x from 0."),
-    Slider(1, "across y [m]", -24, 40, 0.5, "The first row is at y = 0."),
+    Slider(0, "along x [m]", -12, 45, 0.5, "The first row runs along x from 0."),
+    Slider(1, "across y [m]", -24, 54, 0.5, "The first row is at y = 0."),
     Slider(2, "radius [m]", 0.5, 8, 0.25, "Radius of the patch."),
     Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
     Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),
@@ -173,7 +173,7 @@ def values_of(scenario):
     values = vars(scenario) | dict(
         sigma_w=sigma_w_shown(scenario), sigma_v=tuning.sigma_v_of(scenario)
     )
-    is_offered = scenario.sigma_w is None and noise in RULES
+    is_offered = scenario.sigma_w is scenario.sigma_v is None and noise in RULES
     keys = [*CONTROLS, "seed", "patches"]
     entries = {
         key: values[key[0]][key[1]] if isinstance(key, tuple) else values[key] for key in keys
@@ -212,20 +212,23 @@ def scenario_of(values, estimator, start):
     settings |= {name: tuple(entry) for name, entry in entries.items()}
     is_rhe = estimator == "rhe"
     settings["sensors"] = settings["sensors"] if is_rhe else ()
-    settings["yaw_drift"] &= is_rhe and settings["speed_model"] != "slipping"
+    takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
+    settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
-    if settings["process_noise"] == "custom":
-        settings["process_noise"] = start.process_noise if start.process_noise in RULES else None
-        settings["sigma_w"] = _sigma_w_for_estimator(settings)
-    else:
-        settings["sigma_w"] = None
-    rule = settings["process_noise"] or tuning.DEFAULT_RULE
-    # None means the default, which keeps the printed scenario short.
-    if rule == tuning.DEFAULT_RULE:
+    rule = settings["process_noise"]
+    # What is as at the start, or the default, keeps its words there: the printed line stays short.
+    if rule in ("custom", tuning.process_noise_of(start)):
+        settings["process_noise"] = start.process_noise
+    elif rule == tuning.DEFAULT_RULE:
         settings["process_noise"] = None
-    if settings["sigma_v"] == tuning.NOISES["rhe"][rule].sigma_v:
-        settings["sigma_v"] = None
+    if rule == "custom":
+        is_touched = start.sigma_w or settings["sigma_w"] != sigma_w_shown(start)
+        settings["sigma_w"] = _sigma_w_for_estimator(settings) if is_touched else None
+        if settings["sigma_v"] == tuning.sigma_v_of(start):
+            settings["sigma_v"] = start.sigma_v
+    else:
+        settings |= dict(sigma_w=None, sigma_v=None)
     return Scenario(**settings)
 
 

@@ -19,6 +19,7 @@ from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
+from rhec.logs.column_names import OTHER_NAMES
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -27,6 +28,7 @@ _DECIMALS = {",": "comma", ".": "point"}
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
 _MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
+_MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _LATITUDE = ("latitude", "lat")
 _LONGITUDE = ("longitude", "lon", "lng")
 _ALTITUDE = ("altitude", "alt")
@@ -99,7 +101,7 @@ def read(
         elif file.suffix == ".csv":
             log, inferred = _read_csv(file)
         else:
-            log, inferred = _read_parquet(file)
+            log, inferred = _read_parquet(file, columns or {})
     except Exception as error:  # any error that a reader raises for a broken file
         problem = _printable(shorten(str(error), _LONGEST_PROBLEM, placeholder=" …"))
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
@@ -132,7 +134,7 @@ def _checked_path(path):
         raise ValueError(f"log was {shown(path)}; it cannot be a path") from None
     if not is_log:
         raise ValueError(
-            f"log was {str(file)!r}; it should be an existing .csv, .parquet, "
+            f"log was {shown(str(file))}; it should be an existing .csv, .parquet, "
             f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
         )
     return file
@@ -215,17 +217,82 @@ def _read_csv(file):
     return table, inferred
 
 
-def _read_parquet(file):
-    """The table in a .parquet file, unless unpacking it would fill the memory, and {}."""
+def _read_parquet(file, columns):
+    """The table in a .parquet file, unless unpacking it would fill the memory, and {}.
+
+    Of its columns those of numbers and times are read, and those of text that may be a time or a
+    measurement, or that `columns` names. Lists and other nests, whose size no schema tells, are
+    not.
+    """
     import pyarrow.parquet as pq  # only some have it
 
-    metadata = pq.read_metadata(file)
-    n_values = metadata.num_rows * metadata.num_columns
-    if n_values > MOST_VALUES:
-        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
-    table = pd.read_parquet(file, engine="pyarrow")
+    with pq.ParquetFile(file) as parquet:
+        schema = parquet.schema_arrow
+        numbers = [field.name for field in schema if _is_number(field.type)]
+        wanted = {*columns.values(), *OTHER_NAMES, *_LATITUDE, *_LONGITUDE, *_ALTITUDE}
+        texts = [
+            field.name
+            for field in schema
+            if _is_text(field.type) and (field.name in wanted or _TIME.fullmatch(field.name))
+        ]
+        _refuse_large(parquet.metadata, {*numbers, *texts})
+    # Of equal texts a dictionary has one: they may be long, and many, in a small file.
+    with pq.ParquetFile(file, read_dictionary=texts) as parquet:
+        table = parquet.read([name for name in schema.names if name in {*numbers, *texts}])
+    for name in texts:
+        table = _with_plain_text(table, name)
+    table = table.to_pandas()
     table.attrs.clear()  # of a replay, which the file may bring along
     return table, {}
+
+
+def _is_number(kind):
+    """Whether a type of Arrow is that of numbers, times or truth values."""
+    import pyarrow.types as types
+
+    if types.is_dictionary(kind):
+        return _is_number(kind.value_type)
+    tests = types.is_integer, types.is_floating, types.is_decimal, types.is_temporal
+    return types.is_boolean(kind) or any(test(kind) for test in tests)
+
+
+def _is_text(kind):
+    """Whether a type of Arrow is that of text, which may stand in a dictionary."""
+    import pyarrow.types as types
+
+    if types.is_dictionary(kind):
+        return _is_text(kind.value_type)
+    return types.is_string(kind) or types.is_large_string(kind)
+
+
+def _refuse_large(metadata, names):
+    """Refuse a Parquet file whose columns of these names have too many values or bytes."""
+    n_values = metadata.num_rows * len(names)
+    if n_values > MOST_VALUES:
+        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
+    groups = [metadata.row_group(place) for place in range(metadata.num_row_groups)]
+    parts = [group.column(place) for group in groups for place in range(group.num_columns)]
+    unpacked = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
+    if unpacked > _MOST_BYTES:
+        raise ValueError(f"it unpacks to {unpacked} bytes, and should to at most {_MOST_BYTES}")
+
+
+def _with_plain_text(table, name):
+    """An Arrow table whose dictionary of texts is a column of texts, unless that is too large."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    column = table[name].unify_dictionaries()
+    longest = max(
+        (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks),
+        default=0,
+    )
+    if longest * len(column) > _MOST_BYTES:
+        raise ValueError(
+            f"{name} has {len(column)} texts of up to {longest} bytes, and they should be at most "
+            f"{_MOST_BYTES} bytes"
+        )
+    return table.set_column(table.column_names.index(name), name, column.cast(pa.string()))
 
 
 def _in_seconds(log, inferred):

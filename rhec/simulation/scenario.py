@@ -63,9 +63,9 @@ class Scenario:
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (G7)."""
     yaw_drift: valid.Flag = False
-    """Whether the RHE also estimates the yaw drift δ of soil that turns the robot without a yaw
-    rate of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the
-    speed models "parameter" and "input"."""
+    """Whether an RHE also estimates the yaw drift δ of soil that turns the robot without a yaw rate
+    of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the speed
+    models "parameter" and "input"."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -259,7 +259,7 @@ def _check_fits_estimator(scenario):
     if scenario.sensors and estimator != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
-    if scenario.yaw_drift and estimator != "rhe":
+    if scenario.yaw_drift and not estimator_of(estimator).takes_yaw_drift:
         expected = f"for the estimator {valid.shown(estimator)} it should be False"
         raise ValueError(f"yaw_drift was True; {expected}")
     if scenario.yaw_drift:

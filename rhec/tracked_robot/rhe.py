@@ -12,9 +12,8 @@ from rhec.tracked_robot.choice import EstimatorRecord
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
-# Start-up: the paper's W; next to nothing for other quantities that a model estimates. The yaw
-# drift is unknown: 0.05 rad/m are two per cent of slip between the tracks.
-SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: 0.05}
+# Start-up: the paper's W; next to nothing for other quantities that a model estimates.
+SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: tuning.SIGMA_YAW_DRIFT}
 _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
@@ -113,14 +112,19 @@ def _sigma_w(scenario, speed_model, dt_s):
 
 
 def build_phases(choice):
-    """The phases and the step of the RHE of a Choice; with the yaw drift as a result of its own."""
-    phases = rhe.build_phases(window_of(choice))
+    """The phases and the step of the RHE of a Choice."""
+    return _phases_of(window_of(choice), choice)
+
+
+def _phases_of(window, choice):
+    """The phases and the step of a Window, with the yaw drift as a result of its own."""
+    phases = rhe.build_phases(window)
     if not choice.yaw_drift:
         return phases
-    return phases | {name: _with_drift_apart(phases[name]) for name in ("feedback", "step")}
+    return phases | {name: with_drift_apart(phases[name]) for name in ("feedback", "step")}
 
 
-def _with_drift_apart(phase):
+def with_drift_apart(phase):
     """A Function whose `estimate` ends with the yaw drift, with the result `yaw_drift` instead."""
     inputs = phase.mx_in()
     results = dict(zip(phase.name_out(), phase.call(inputs)))
@@ -142,6 +146,7 @@ ESTIMATORS = {
         n_sigma_w=lambda choice: (
             speed_model_of(choice.speed_model, yaw_drift=choice.yaw_drift).n_sigma_w
         ),
+        takes_yaw_drift=True,
         has_yaw_drift=lambda choice: choice.yaw_drift,
     )
 }

@@ -23,6 +23,7 @@ from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, Whole, checked, numbers, shown
+from rhec.files import replacing
 from rhec.tracked_robot.options import Traction
 
 # In a checkout data/ stands beside the package, in a wheel inside it.
@@ -198,12 +199,8 @@ def _save_arrays(file, arrays):
     file = File(file)
     if file.suffix != ".npz":
         file = file.with_name(f"{file.name}.npz")
-    unfinished = file.with_name(f"{file.name}.unfinished")
-    try:
-        unfinished.write_bytes(content.getvalue())
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with replacing(file) as unfinished:
+        unfinished.write(content.getvalue())
 
 
 def _checked_field(name, values):

@@ -42,8 +42,8 @@ class Noise(NamedTuple):
     sigma_v: tuple
 
 
-# Walk of the yaw drift beside the paper's W [rad/m a sample].
-_YAW_DRIFT_WALK = 0.002
+# Before the first sample the yaw drift is unknown: two per cent of slip between the tracks [rad/m].
+SIGMA_YAW_DRIFT = 0.05
 
 
 def _printed():
@@ -51,8 +51,9 @@ def _printed():
     of_rhe = Noise(paper.SIGMA_W_RHE, paper.SIGMA_V)
     return {
         "rhe": of_rhe,
-        # The yaw drift is not in the paper.
-        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, _YAW_DRIFT_WALK), of_rhe.sigma_v),
+        # The yaw drift is not in the paper. What the paper prints as W is P_0, too: each quantity
+        # may change in a sample by as much as is unknown of it at the start. So may this one.
+        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, SIGMA_YAW_DRIFT), of_rhe.sigma_v),
         "ekf": Noise(paper.SIGMA_W_EKF, paper.SIGMA_V),
         "bounded_ekf": of_rhe,
     }
@@ -127,7 +128,7 @@ def noise_of(estimator, scenario):
 
 def name_of_noise(scenario):
     """Name in NOISES of a Scenario's estimator: an RHE with the yaw drift has noises of its own."""
-    return "rhe_yaw_drift" if scenario.yaw_drift else scenario.estimator
+    return f"{scenario.estimator}_yaw_drift" if scenario.yaw_drift else scenario.estimator
 
 
 def sigma_v_of(scenario):

@@ -125,6 +125,7 @@ FORMS = (virtual_machine, live, in_lanes, in_c)
 ALWAYS = {
     "rhe": (live, in_lanes, in_c),
     "sensors and faults": FORMS,
+    "yaw drift": (live, in_lanes, in_c),
     "everything else": (virtual_machine, in_c),
     "own controller": (virtual_machine, in_lanes),
 }

@@ -1,3 +1,4 @@
+import json
 import os
 import re
 import shutil
@@ -16,8 +17,9 @@ from nbformat import v4
 from traitlets.config import PyFileConfigLoader
 
 from notebooks import run as notebook
-from notebooks.parameter_table import parameters_of
+from notebooks.parameter_table import own_parameters, parameters_of
 from notebooks.run import ParameterError, parameters
+from rhec import style
 
 CELL = """
 from typing import Literal
@@ -92,6 +94,48 @@ def test_every_notebook_checks_its_parameters_and_the_table_has_them(path):
     assert [*found] == [*defaults["__annotations__"]]
     assert all(each.default == str(defaults[name]) for name, each in found.items())
     assert all(each.meaning and each.type for each in found.values())
+
+
+def test_the_defaults_by_which_a_changed_notebook_is_known_are_those_of_the_notebooks():
+    """`python -m notebooks.parameter_table` writes them."""
+    assert json.loads(notebook.DEFAULTS.read_text()) == own_parameters()
+
+
+@pytest.fixture
+def as_it_is():
+    """Figures after a test go where they went before."""
+    yield
+    style.set_changed("", {})
+
+
+def cell_of(path):
+    """The cell with the parameters of a notebook."""
+    cells = nbformat.read(path, 4).cells
+    return next(cell.source for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS)
+def test_no_notebook_with_other_parameters_writes_to_figures(path, as_it_is, monkeypatch, capsys):
+    """Whether they are injected, or the cell itself is edited, and whoever runs it."""
+    monkeypatch.delenv("RHEC_FIGURES", raising=False)
+    monkeypatch.setattr(style, "FOLDER", Path("figures"))
+    cell = cell_of(path)
+    name, default = next(
+        (key.partition(":")[0], value)
+        for key, value in own_parameters()[path.stem].items()
+        if "seed" in key or "fields" in key or "worlds" in key
+    )
+    assert re.search(rf"^{name}: .* = {default}\b", cell, re.M)
+    edited = re.sub(rf"^({name}: .* = ){default}\b", rf"\g<1>{default + 2}", cell, flags=re.M)
+    for namespace in (executed(cell, **{name: default + 2}), executed(edited)):
+        parameters(executed(cell))
+        assert style.set_changed("", {}) == Path("figures") and capsys.readouterr().out == ""
+        parameters(namespace)
+        told = capsys.readouterr().out
+        assert told == (
+            f"With {name} = {default + 2}: figures and tables go to "
+            f"figures/{path.stem}/{name}={default + 2}\n"
+        )
 
 
 def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
@@ -229,6 +273,14 @@ def test_a_kernel_that_dies_in_a_cell_does_not_start_again(tmp_path, monkeypatch
         run_toy(monkeypatch, toy(tmp_path, cell))
     assert capsys.readouterr().err.endswith("toy: Kernel died\n")
     assert (tmp_path / "begun").read_text() == "."
+
+
+def test_a_full_disk_in_a_cell_is_a_sentence_that_names_the_file(tmp_path, monkeypatch, capsys):
+    writing = "with replacing('fig.png') as file: raise OSError(28, 'No space left on device')"
+    cell = f"from rhec.files import replacing\n{writing}"
+    with pytest.raises(SystemExit):
+        run_toy(monkeypatch, toy(tmp_path, cell))
+    assert capsys.readouterr().err == "toy: [Errno 28] No space left on device: 'fig.png'\n"
 
 
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):

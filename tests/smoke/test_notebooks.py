@@ -43,7 +43,8 @@ SMALL = {
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=4, consistency_runs=4),
+        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=4, consistency_runs=4)
+        | dict(unknown_fields=2, unknown_training=1, posterior_worlds=2),
         ("table_traction_worth", "table_consistency"),
     ),
     "further/tolerance": Small(dict(fields=2), ("table_tolerance",)),
