@@ -49,8 +49,7 @@ class Tuned(NamedTuple):
     """The numbers that were chosen, not derived.
 
     They were chosen on drives 0 to 39 of the table in tests/guard_table.py; its nightly test has
-    drives 0 to 23. On drives 40 to 159, 10, 6 and 3 of 383 rows (by 40 drives) break the rule in
-    the largest error or the time to come back; none is lost more often than the EKF.
+    drives 0 to 23.
     """
 
     # name: value  # [unit] meaning
