@@ -43,6 +43,28 @@ def run_estimator_on_all(scenario, runs, *outputs):
     return [runner.by_name(step, of_run) for of_run in rows]
 
 
+def deviances(scenario, noises, runs):
+    """-2 log likelihood of each Run's measurements under each noise of the scenario's estimator.
+
+    Args:
+        scenario: The Scenario, whose own noise does not count.
+        noises: `tuning.Noise` records.
+        runs: Runs.
+
+    Returns:
+        (noises, runs).
+    """
+    structure = ("deviance",), Choice.of(scenario)
+    step = _build(*structure)["step"]
+    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
+    variances = [dict(V=np.square(of.sigma_v), W=np.square(of.sigma_w)) for of in noises]
+    n = len(noises)
+    (program,) = lanes.programs(_build, [structure])
+    of_both = [of_run | of_noise for of_noise in variances for of_run in settings]
+    rows = runner.run(program, memories * n, streams * n, of_both)
+    return np.reshape([of.sum() for of in rows], (n, len(runs)))
+
+
 def run_estimator(scenario, run, *outputs):
     """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
     functions = early.load(_build, outputs, Choice.of(scenario))
