@@ -14,8 +14,8 @@ import numpy as np
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.c_text import generate_c
 from rhec.simulation import closed_loop
-from rhec.simulation.blocks import blocks_of
 from rhec.simulation.columns import COLUMNS
+from rhec.simulation.parts import parts_of
 from rhec.tracked_robot.path import Path, advance, ahead_and_left
 
 __all__ = ["ERRORS", "MAX_SAMPLES", "argument_tables", "build_functions", "c_module", "c_text"]
@@ -43,7 +43,10 @@ def build_functions(scenario, n_segments, soil_shape):
         errors (row, segments, length_m) -> ERRORS.
     """
     _, settings = closed_loop.set_up(scenario).structure
-    loop = blocks_of(scenario, n_segments, soil_shape)
+    world = closed_loop.world_of(scenario)
+    path = with_segments(world.path, n_segments)
+    world = world._replace(path=path, soil_shape=tuple(soil_shape))
+    loop = tuple(part.block for part in parts_of(scenario, world))
     sample = closed_loop.build_sample(loop, settings)["step"]
     return dict(sample=sample, errors=_build_errors(n_segments))
 

@@ -17,8 +17,8 @@ from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.explorer.controls import RULES
 from rhec.simulation import closed_loop
-from rhec.simulation.blocks import blocks_of
 from rhec.simulation.columns import COLUMNS, MEASUREMENTS
+from rhec.simulation.parts import parts_of
 from rhec.tracked_robot import tuning
 
 pytestmark = needs_live_page
@@ -157,7 +157,8 @@ def same_run_in_python(run):
     setup = closed_loop.set_up(scenario)
     settings = setup.settings | dict(slip=run["slip"], origin_m=np.array(run["origin_m"]))
     # The page's grid has room for the soil of every path.
-    loop = blocks_of(scenario, len(setup.path.segments), tuple(run["soil_shape"]))
+    world = closed_loop.world_of(scenario)._replace(soil_shape=tuple(run["soil_shape"]))
+    loop = tuple(part.block for part in parts_of(scenario, world))
     functions = compiled.load(closed_loop.build_sample, loop, tuple(settings))
     rows = runner.run_one(functions, setup.memory, run["noise"], settings)
     return closed_loop.finished(scenario, setup, rows)
