@@ -76,7 +76,7 @@ lint: $(READY) ## check style, types of the public interface, imports, and noteb
 bench: .venv/peers .venv/acados ## compare computation times with other tools, in figures/ (minutes)
 	@PYTHONPATH=tests $(PY) -m benchmark
 
-nightly: $(READY) ## what takes long: every test, failing sensors, killed workers, fuzzing, studies
+nightly: $(READY) .venv/engines ## what takes long: every test, failing sensors, killed workers, fuzzing, studies
 	@$(MAKE) test WHAT=--thorough
 	@$(MAKE) figures studies
 	@$(MAKE) check-figures
@@ -114,6 +114,10 @@ $(READY): environment.txt pyproject.toml
 	@$(PIP) -q --no-deps --no-build-isolation -e . && touch $@
 
 .venv/peers: benchmark/peers.txt $(READY)
+	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
+
+# Dask, MPI and ipyparallel, on which campaigns are tested; mpiexec comes from the system.
+.venv/engines: tests/engines.txt $(READY)
 	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
 
 # acados has a separate environment, because its wheel contains another CasADi.

@@ -38,7 +38,7 @@ def available():
 
 def drive():
     """A minute of the closed loop, then its samples again from Python, phase by phase."""
-    scenario = Scenario(process_noise="likelihood", duration_s=60.0)
+    scenario = Scenario(process_noise="prediction", duration_s=60.0)
     timing.phases(scenario, timing.CONTROLLERS["structured"])
 
 

@@ -81,7 +81,7 @@ def block(run, recorded):
     estimator, controller = problems.live(run)
     libraries = {
         type(estimator): _library(rhe.build_phases, estimator.window),
-        type(controller): _library(rhc.build_phases, controller.problem),
+        type(controller): _library(rhc.build_phases, controller.stages),
     }
 
     def times(_):

@@ -27,7 +27,7 @@ class Problem(NamedTuple):
 def drive(samples):
     """A run with so many samples after the window has filled up."""
     duration_s = (paper.HORIZON + samples) * paper.DT_S
-    return simulate(Scenario(process_noise="likelihood", duration_s=duration_s))
+    return simulate(Scenario(process_noise="prediction", duration_s=duration_s))
 
 
 def measured(run):

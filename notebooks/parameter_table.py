@@ -1,11 +1,20 @@
-"""What a notebook's parameters are, as papermill reads them from its cell tagged `parameters`."""
+"""What a notebook's parameters are, as papermill reads them from its cell tagged `parameters`.
+
+    python -m notebooks.parameter_table
+
+writes those of all notebooks into notebooks/defaults.json, by which a notebook that runs knows
+whether it was changed.
+"""
 
 import ast
+import json
 import re
 from typing import NamedTuple
 
 import nbformat
 from papermill.translators import PythonTranslator
+
+from notebooks.run import DEFAULTS, ROOT, declarations
 
 _WORDS = {
     "bool": "True or False",
@@ -91,3 +100,22 @@ def as_text(parameters):
         unit = f" [{unit}]" if unit else ""
         lines += [f"  {name}{unit}: {kind} (default: {default})", f"      {meaning}"]
     return "\n".join(lines)
+
+
+def own_parameters():
+    """{notebook: {"name: annotation": value}} of all notebooks, as DEFAULTS has them."""
+    found = {}
+    for path in sorted((ROOT / "notebooks").rglob("*.ipynb")):
+        if ".ipynb_checkpoints" not in path.parts:
+            cells = nbformat.read(path, 4).cells
+            tagged = [cell for cell in cells if "parameters" in cell.metadata.get("tags", ())]
+            found[path.stem] = {
+                f"{name}: {annotation}": _value(ast.parse(value, mode="eval").body)
+                for cell in tagged
+                for name, annotation, value in declarations(cell.source)
+            }
+    return found
+
+
+if __name__ == "__main__":
+    DEFAULTS.write_text(f"{json.dumps(own_parameters(), indent=1)}\n", encoding="utf-8")

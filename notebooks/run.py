@@ -8,6 +8,7 @@ import argparse
 import ast
 import contextlib
 import difflib
+import errno
 import html
 import json
 import logging
@@ -20,10 +21,12 @@ from pathlib import Path
 from typing import Annotated, get_type_hints
 
 from notebooks import captions
-from rhec.style import replacing
+from rhec import style
+from rhec.files import replacing
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
+DEFAULTS = ROOT / "notebooks/defaults.json"  # made by `python -m notebooks.parameter_table`
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
 # Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
@@ -76,7 +79,7 @@ def parameters(namespace):
 
     types = {}
     for source in namespace["In"]:
-        for name, annotation in _declared(source).items():
+        for name, annotation, _ in declarations(source):
             types[name] = _strict(name, eval(annotation, namespace))
     # The first time, all plain data are parameters; later the notebook has data of its own.
     if _CHECKED not in namespace or namespace[_CHECKED] is not parameters:
@@ -87,6 +90,7 @@ def parameters(namespace):
     except ValueError as error:
         raise ParameterError(str(error)) from None
     namespace[_CHECKED] = parameters
+    _tell_changed(namespace)
     if "get_ipython" in namespace:
         from matplotlib_inline.backend_inline import set_matplotlib_formats
 
@@ -94,14 +98,51 @@ def parameters(namespace):
         set_matplotlib_formats("png", dpi=_DPI, bbox_inches=None)
 
 
-def _declared(source):
-    """{name: annotation} of the annotated assignments in a cell; {} if it is no Python."""
+def _tell_changed(namespace):
+    """Let figures and tables of changed parameters go into a folder of their own."""
+    notebook, own = _own_parameters(namespace["In"])
+    changed = {}
+    for name, default in own.items():
+        value = namespace.get(name, default)
+        value = list(value) if isinstance(value, tuple) else value
+        if value != default:
+            changed[name] = value
+    folder = style.set_changed(notebook, changed)
+    if changed:
+        given = ", ".join(f"{name} = {value}" for name, value in changed.items())
+        print(f"With {given}: figures and tables go to {folder}")
+
+
+def _own_parameters(sources):
+    """The name of the notebook that runs, and {name: value} of its own parameters.
+
+    They are those of DEFAULTS, since a cell may have been edited before it ran. A notebook is known
+    by what it declares, because only JupyterLab tells its name.
+    """
+    declared = [each for source in sources for each in declarations(source)]
+    wanted = {f"{name}: {annotation}" for name, annotation, _ in declared}
+    name = Path(style.running_notebook() or "notebook").stem
+    for notebook, defaults in json.loads(DEFAULTS.read_text(encoding="utf-8")).items():
+        if {*defaults} == wanted or notebook == name:
+            return notebook, {key.split(":")[0]: value for key, value in defaults.items()}
+    values = {}  # of another notebook, as they stand in its cells
+    for parameter, _, value in declared:
+        with contextlib.suppress(ValueError):  # it is computed
+            values[parameter] = ast.literal_eval(value)
+    return name, values
+
+
+def declarations(source):
+    """[(name, annotation, value)] of a cell's annotated assignments; [] if it is no Python."""
     try:
         nodes = ast.parse(source).body
     except SyntaxError:
-        return {}
-    nodes = [node for node in nodes if isinstance(node, ast.AnnAssign)]
-    return {ast.unparse(node.target): ast.unparse(node.annotation) for node in nodes}
+        return []
+    nodes = [node for node in nodes if isinstance(node, ast.AnnAssign) and node.value]
+    return [
+        (ast.unparse(node.target), ast.unparse(node.annotation), ast.unparse(node.value))
+        for node in nodes
+    ]
 
 
 def _strict(name, annotation):
@@ -163,7 +204,7 @@ def run(notebook, values, output):
         executed = _executed(notebook, values, on_cell_start)
     _describe_pictures(executed)
     with replacing(output) as unfinished:
-        nbformat.write(executed, unfinished)
+        unfinished.write(f"{nbformat.writes(executed)}\n".encode())
     # For make, what is edited during the run is newer than its output.
     os.utime(output, ns=(started_ns, started_ns))
 
@@ -316,6 +357,8 @@ def main():
             parser.exit(130, interrupted)
         if error.ename in (ParameterError.__name__, ValueError.__name__ if args.p else None):
             parser.exit(2, f"{error.evalue}\n")
+        if error.evalue.startswith(f"[Errno {errno.ENOSPC}]"):
+            parser.exit(1, f"{notebook.stem}: {error.evalue}\n")
         parser.exit(1, str(error))
     seconds = time.monotonic() - started_s
     print(f"{notebook.stem}: done in {seconds:.0f} s, see {os.path.relpath(output)}")

@@ -6,7 +6,7 @@ estimation (MHE) and model predictive control (MPC) for any robot.
 
 One run          Scenario, simulate, Run               The world    Path, Terrain, Fault, WORLDS
 Parts of a run   Estimator, Controller
-Many runs        campaign, batch                       Any robot    Model, RHE, RHC, EKF, Bound
+Many runs        campaign                              Any robot    Model, RHE, RHC, EKF, Bound
 A recorded log   log, doctor, calibrate, replay        Its path     PathTracker
 On a robot       export                                In Jupyter   Explorer
 """
@@ -18,7 +18,6 @@ from rhec.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from rhec import logs as logs
-    from rhec.core.batch.batch import batch as batch
     from rhec.core.controller.bounds import Bound as Bound
     from rhec.core.estimator.ekf import EKF as EKF
     from rhec.core.model.base import Model as Model
@@ -59,7 +58,6 @@ _HOME = {
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
     "WORLDS": "simulation.worlds",
-    "batch": "core.batch.batch",
     "calibrate": "logs.calibration",
     "campaign": "simulation.campaigns.campaign",
     "doctor": "logs.doctor",

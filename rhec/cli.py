@@ -23,7 +23,7 @@ import numpy as np
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import rhec
-from rhec.style import replacing
+from rhec.files import replacing
 
 __all__ = ["main"]
 
@@ -312,7 +312,7 @@ def campaign(
     for name, entries in p:
         if not entries:
             raise ValueError(f"-p {name} had no value; it should have at least one")
-    values = dict(p) or dict(estimator=["rhe", "ekf"], process_noise=["printed", "likelihood"])
+    values = dict(p) or dict(estimator=["rhe", "ekf"], process_noise=["printed", "prediction"])
     values |= dict(seed=values.get("seed", range(seeds)))
     combinations = itertools.product(*values.values())
     scenarios = [rhec.Scenario(**dict(zip(values, combination))) for combination in combinations]

@@ -15,13 +15,18 @@ import os
 import re
 from pathlib import Path
 
+from rhec.files import replacing
 from rhec.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 # In an installed wheel there is no project, and nothing is written among the packages.
 _HERE = ROOT if (ROOT / "pyproject.toml").exists() else Path.cwd()
-# A notebook that runs with other parameters does not write over the paper's figures.
 FOLDER = Path(os.environ.get("RHEC_FIGURES", _HERE / "figures"))
+_OWN_PARAMETERS = "", {}  # of a notebook that runs as it is
+_running = _OWN_PARAMETERS  # (name of the notebook, {parameter: value} of what was changed)
+_NOTE_IN = 0.16  # height of the line that names changed parameters
+_LONGEST_NAME = 120  # of a folder, in letters
+_LATEX = str.maketrans({letter: f"\\{letter}" for letter in "_%#&$"})
 
 # Widths of the paper's figures [in]
 COLUMN_IN = 3.4
@@ -139,18 +144,58 @@ def _as_json(scenario):
     return json.dumps(scenario, default=plain)
 
 
-def _running_notebook():
+def running_notebook():
     """Name of the notebook that runs: by our runner, by JupyterLab, or None."""
     path = os.environ.get("RHEC_NOTEBOOK") or os.environ.get("JPY_SESSION_NAME")
     return Path(path).name if path else None
 
 
-def provenance(name, scenario, notebook=None):
-    """Where a file came from, by keys that a PDF allows; its Keywords are the scenario."""
+def set_changed(notebook, changed):
+    """Tell with which parameters figures and tables are made from now on.
+
+    Those of a notebook with changed parameters go into a folder of their own, unless RHEC_FIGURES
+    names one, so that they never replace those of the paper. They name what was changed.
+
+    Args:
+        notebook: Name of the notebook, without a suffix.
+        changed: {parameter: value} of those that differ from the notebook's own.
+
+    Returns:
+        The folder of its figures and tables.
+    """
+    global _running
+    _running = (notebook, changed) if changed else _OWN_PARAMETERS
+    return _folder()
+
+
+def _folder():
+    """The folder of the figures and tables of the notebook that runs."""
+    notebook, changed = _running
+    if not changed or "RHEC_FIGURES" in os.environ:
+        return FOLDER
+    text = ",".join(f"{name}={value}" for name, value in changed.items())
+    text = re.sub(r"[^\w.,=+-]+", "_", text)
+    if len(text) > _LONGEST_NAME:
+        text = f"{text[:_LONGEST_NAME]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return FOLDER / notebook / text
+
+
+def _note():
+    """The changed parameters of the notebook that runs, as a line; "" if there are none."""
+    _, changed = _running
+    return ", ".join(f"{name} = {value}" for name, value in changed.items())
+
+
+def provenance(name, scenario, notebook=None, note=""):
+    """Where a file came from, by keys that a PDF allows; its Keywords are the scenario.
+
+    The Subject is the notebook and, after a comma, the parameters that were changed.
+    """
+    notebook = notebook or running_notebook() or (note and f"{_running[0]}.ipynb")
     metadata = {
         "Title": name,
         "Creator": f"rhec {__version__}, source {source()}",
-        "Subject": notebook or _running_notebook(),
+        "Subject": ", ".join(filter(None, [notebook, note])) or None,
         "Keywords": None if scenario is None else _as_json(scenario),
     }
     return {key: value for key, value in metadata.items() if value is not None}
@@ -159,6 +204,14 @@ def provenance(name, scenario, notebook=None):
 def as_comments(metadata):
     """A provenance as comments at the beginning of a LaTeX file."""
     return "".join(f"% {key}: {value}\n" for key, value in metadata.items())
+
+
+def note_of(csv):
+    """The changed parameters behind a table, from the LaTeX beside it; "" if there are none."""
+    tex = Path(csv).with_suffix(".tex")
+    text = tex.read_text(encoding="utf-8") if tex.exists() else ""
+    found = re.search(r"^% Subject: [^,\n]*, (.*)$", text, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def source_of(png):
@@ -181,14 +234,15 @@ class Saved:
         return self.png.read_bytes()
 
 
-def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
+def save(figure, name, scenario=None, folder=None, notebook=None):
     """Write a figure as PNG and PDF, with reproducible bytes.
 
     Args:
         figure: The matplotlib Figure.
         name: Name of the files, without a suffix.
         scenario: A Scenario or a Run, or nested dicts and lists that describe the runs.
-        folder: Folder of the files, which is created if needed.
+        folder: Folder of the files, which is created if needed; by default that of the notebook
+            that runs.
         notebook: Name of the notebook; by default the one that runs.
 
     Returns:
@@ -196,43 +250,51 @@ def save(figure, name, scenario=None, folder=FOLDER, notebook=None):
     """
     import matplotlib as mpl
 
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    png = Path(folder) / f"{name}.png"
-    metadata = provenance(name, scenario, notebook)
+    note = "" if folder else _note()
+    png = Path(folder or _folder()) / f"{name}.png"
+    png.parent.mkdir(parents=True, exist_ok=True)
+    metadata = provenance(name, scenario, notebook, note)
     # savefig applies the default layout to figures without one, so the default must be none here.
-    with mpl.rc_context(RC | {"figure.constrained_layout.use": False}):
+    layout = mpl.rc_context(RC | {"figure.constrained_layout.use": False})
+    with layout, _noted(figure, note) as box:
         with replacing(png) as unfinished:
             creator = {"Creator": f"rhec {__version__}"}
-            figure.savefig(unfinished, format="png", metadata=metadata | creator)
+            figure.savefig(unfinished, format="png", metadata=metadata | creator, bbox_inches=box)
         # To memory first, because Matplotlib's PDF writer hides the error of a full disk.
         pdf = io.BytesIO()
-        figure.savefig(pdf, format="pdf", metadata=metadata | {"CreationDate": None})
+        undated = metadata | {"CreationDate": None}
+        figure.savefig(pdf, format="pdf", metadata=undated, bbox_inches=box)
         with replacing(png.with_suffix(".pdf")) as unfinished:
-            unfinished.write_bytes(pdf.getvalue())
+            unfinished.write(pdf.getvalue())
     _list_as_made(png, png.with_suffix(".pdf"))
     return Saved(png)
+
+
+@contextlib.contextmanager
+def _noted(figure, note):
+    """A context in which a figure has a line above it, and what of it is saved then."""
+    if not note:
+        yield None
+        return
+    from matplotlib.transforms import Bbox
+
+    width, height = figure.get_size_inches()
+    line = figure.text(0.02, 1.0, note, size=6, color=VERMILLION, va="bottom", parse_math=False)
+    try:
+        yield Bbox([[0, 0], [width, height + _NOTE_IN]])
+    finally:
+        line.remove()
 
 
 def _list_as_made(*files):
     """List files of a notebook's run, for `make clean`; not those of a user's own folder."""
     made = os.environ.get("RHEC_MADE")
-    if made and files[0].parent == FOLDER:
+    if made and files[0].parent == _folder():
         with open(made, "a", encoding="utf-8") as listing:
             listing.writelines(f"{file.relative_to(ROOT)}\n" for file in files)
 
 
-@contextlib.contextmanager
-def replacing(file):
-    """A context with the path of an unfinished file, which replaces the file once it is whole."""
-    unfinished = file.with_name(f"{file.name}.unfinished")
-    try:
-        yield unfinished
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=None):
+def save_table(dataframe, name, caption, folder=None, scenario=None, notebook=None):
     """Write a DataFrame without index as CSV with all digits and as LaTeX with four digits.
 
     Args:
@@ -244,14 +306,17 @@ def save_table(dataframe, name, caption, folder=FOLDER, scenario=None, notebook=
     Returns:
         The path of the CSV.
     """
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    csv = Path(folder) / f"{name}.csv"
+    note = "" if folder else _note()
+    csv = Path(folder or _folder()) / f"{name}.csv"
+    csv.parent.mkdir(parents=True, exist_ok=True)
     label = f"tab:{name}"
+    if note:
+        caption = f"{caption} ({note.translate(_LATEX)})"
     look = dict(index=False, escape=True, float_format="%.4g", caption=caption, label=label)
     with replacing(csv) as unfinished:
         dataframe.to_csv(unfinished, index=False)
-    comments = as_comments(provenance(name, scenario, notebook))
+    comments = as_comments(provenance(name, scenario, notebook, note))
     with replacing(csv.with_suffix(".tex")) as unfinished:
-        unfinished.write_text(comments + dataframe.to_latex(**look), encoding="utf-8")
+        unfinished.write((comments + dataframe.to_latex(**look)).encode())
     _list_as_made(csv, csv.with_suffix(".tex"))
     return csv

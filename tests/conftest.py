@@ -15,7 +15,6 @@ UNOPTIMISED = HERE / "unoptimised"
 # them, so that no worker is left with one of them at the end.
 LONGEST = (
     "agreement/test_forms.py",
-    "core/test_batch.py",
     "logs/test_replay.py",
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",
@@ -96,6 +95,6 @@ def virtual_machine():
 @pytest.fixture(scope="session")
 def run():
     """One minute of the paper's loop in a simple world, calibrated."""
-    scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
+    scenario = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=60.0)
     with no_compiler():
         return rhec.simulate(scenario)

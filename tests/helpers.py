@@ -74,7 +74,7 @@ def fused_sample(mhe, mpc):
     (memory, ((x, u, p), command)).
     """
     estimate = rhe.build_phases(mhe.window)["step"]
-    command = rhc.build_phases(mpc.problem)["step"]
+    command = rhc.build_phases(mpc.stages)["step"]
     sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
     memory = ca.MX.sym("memory", sum(sizes))
     shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
@@ -127,6 +127,7 @@ SIMPLE_WORLD = dict(
     rut_length_m=0.0,
     track_width_m=paper.TRACK_WIDTH_M,
     rotation_centre_m=0.0,
+    sigma_v=paper.SIGMA_V,  # the estimator assumes the noise that there is
 )
 
 

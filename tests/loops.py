@@ -8,6 +8,7 @@ import casadi as ca
 from helpers import no_compiler, own_controller
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core.controller import rhc
 from rhec.simulation import closed_loop
@@ -34,8 +35,8 @@ def own_estimator():
     return ca.Function("mine", [memory, z], [estimate, estimate])
 
 
-# Who is told the truth, and who tells the controller of a drift, is not exported.
-NO_C = "oracle", "traction_oracle", "drift_oracle", "yaw_drift_ekf"
+# Who is told the truth is not exported.
+NO_C = "oracle", "traction_oracle", "drift_oracle"
 GAP = rhec.Fault(kind="missing", start_s=5.0, duration_s=4.0)
 OFF = rhec.Fault(kind="outliers", start_s=12.0, duration_s=1.0, size_m=2.0)
 NO_GYRO = rhec.Fault(kind="missing", channel="gyro", start_s=8.0, duration_s=3.0)
@@ -46,16 +47,20 @@ PATH = rhec.Path.from_segments([(3.0, 0.0), (4.0, 0.1), (20.0, -0.05)], start=(1
 EVERYTHING_ELSE = dict(
     speed_model="input", arrival_mean="filtered", input_reference="curvature", command_delay=1,
     prediction_horizon=4, estimation_horizon=2, q=(1, 1, 10), backwards=True, look_ahead_m=0.3,
-    guess_yaw_rad=0.2, process_noise="likelihood", path=PATH,
+    guess_yaw_rad=0.2, process_noise="prediction", path=PATH,
 )  # fmt: skip
 
-LOOPS = {name: Loop(dict(estimator=name), ("live",) + ("in_c",) * (name in NO_C)) for name in NAMES}
+ESTIMATORS = dict(zip(NAMES, NAMES)) | RIVALS
+LOOPS = {
+    name: Loop(dict(estimator=estimator), ("live",) + ("in_c",) * (name in NO_C))
+    for name, estimator in ESTIMATORS.items()
+}
 LOOPS |= {
     "rhe": Loop({}),
     "delayed": Loop(dict(process_noise="printed", q=paper.Q1, command_delay=1, look_ahead_m=0.3)),
     "weights": Loop(dict(r=2.0, omega_max_radps=0.2, start_yaw_rad=0.2, guess_yaw_rad=0.3)),
     "unlike tracks": Loop(UNLIKE_TRACKS),
-    "input": Loop(dict(speed_model="input", process_noise="likelihood")),
+    "input": Loop(dict(speed_model="input", process_noise="prediction")),
     "slipping": Loop(dict(speed_model="slipping", faults=(GAP, OFF))),
     "sensors and faults": Loop(
         dict(speed_model="input", process_noise="consistent", sensors=BOTH, faults=(NO_GYRO, OFF))
@@ -63,7 +68,17 @@ LOOPS |= {
     "slipping with a gyro": Loop(
         dict(speed_model="slipping", process_noise="consistent", sensors=("gyro",))
     ),
-    "side slip": Loop(dict(side_slip_rad=0.3, sensors=("gyro",))),
+    "yaw drift": Loop(dict(yaw_drift=True, process_noise="printed", slip_difference=-0.1)),
+    "yaw drift with a gyro": Loop(
+        dict(
+            yaw_drift=True,
+            process_noise="consistent",
+            speed_model="input",
+            sensors=("gyro",),
+            faults=(NO_GYRO, OFF),
+        )
+    ),
+    "yaw drift alone": Loop(dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), ("live",)),
     "patches and faults": Loop(dict(patches=((0.0, 0.0, 1.0, 0.5, 0.5),), faults=(GAP,))),
     "everything else": Loop(EVERYTHING_ELSE, ("live",)),
     "own": Loop(dict(estimator=own_estimator()), ("live",)),
@@ -77,7 +92,8 @@ def unlike(scenario):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
-            scenario, seed=i, process_noise=scenario.process_noise or (None, "likelihood")[i % 2],
+            scenario, seed=i,
+            process_noise=scenario.process_noise or ("printed", "prediction")[i % 2],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
@@ -98,15 +114,16 @@ def live_step(scenario):
     with no_compiler():
         mhe = rhec.RHE(
             horizon=scenario.estimation_horizon,
-            process_noise=scenario.process_noise or "printed",
+            process_noise=scenario.process_noise or "prediction",
             speed_model=scenario.speed_model,
             sensors=scenario.sensors,
+            yaw_drift=scenario.yaw_drift,
             guess=tuple(setup.guess),
         )
         weights = dict(q=scenario.q, r=scenario.r, omega_max=scenario.omega_max_radps)
         mpc = rhec.RHC(horizon=horizon, **weights)
         tracker = rhec.PathTracker(setup.path, horizon, look_ahead_m=scenario.look_ahead_m)
-    mpc.iteration.start(rhc.init(mpc.problem, setup.guess[:3], setup.guess[3:]))
+    mpc.iteration.start(rhc.init(mpc.stages, setup.guess[:3], setup.guess[3:]))
     fastest = SPEED_MODELS["parameter"].model.limits[3]
     command = 0.0
 
@@ -116,8 +133,10 @@ def live_step(scenario):
         mpc.prepare()
         estimate = mhe.feedback(z)
         # The yaw rate of the last command stands in for one that was not measured.
-        references = tracker.references(estimate, z[3] if abs(z[3]) <= fastest else command)
-        command = mpc.feedback(estimate.pose, estimate.p, *references)
+        omega = z[3] if abs(z[3]) <= fastest else command
+        d = mpc.disturbance(estimate)
+        references = tracker.references(estimate, omega + d)
+        command = mpc.feedback(estimate.pose, estimate.p, *references, disturbance=d)
         return [*estimate[:6], command, mhe.kkt, mpc.kkt]
 
     return step

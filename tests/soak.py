@@ -67,7 +67,7 @@ def leg(base, seed, number):
         base,
         seed=int(rng.integers(2**31)),
         duration_s=duration_s,
-        process_noise=str(rng.choice(["printed", "likelihood"])),
+        process_noise=str(rng.choice(["printed", "prediction"])),
         q=tuple(rng.uniform(0.1, 3, 3)),
         r=rng.uniform(1, 20),
         qn_factor=rng.uniform(1, 10),

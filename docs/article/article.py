@@ -26,9 +26,10 @@ _SOURCE = "docs/article/article.typ"
 def tables():
     """The article's tables: {name: DataFrame of texts}; the first column names the rows."""
     return dict(
-        # Its fonts have no coloured squares.
-        summary=answer.paper_beside_ours().replace(r"^\W+ ", "", regex=True),
-        scenario_b=answer.paper_beside_ours(judged=False),
+        answer=_answer(),
+        summary=answer.paper_beside_ours(),
+        scenario_b=answer.scenario_b_numbers(),
+        turns=answer.by_turns().iloc[:, :7],
         weights=_weights(),
         scenario_a=_scenario_a(),
         times=_times(),
@@ -38,6 +39,12 @@ def tables():
         worth=_worth(),
         faults=_faults(),
     )
+
+
+def _answer():
+    """Whether Scenario B reproduced, in one sentence."""
+    table = pd.read_csv(answer.RESULTS / "table_scenario_b.csv")
+    return pd.DataFrame({"": ["Scenario B"], "in short": [answer.in_short(table)]})
 
 
 def _verdicts():

@@ -77,7 +77,7 @@ function line_of(run, { data }) { // the line of Python that is this run
     ...run.fields,
     patches: page.patches,
     seed: Number($("seed").value),
-    process_noise: noise === "own" ? "likelihood" : noise,
+    process_noise: noise === "own" ? "prediction" : noise,
   };
   delete fields.sigma_w;
   if (noise === "own") fields.sigma_w = sigma_w_of(data);

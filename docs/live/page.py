@@ -155,7 +155,7 @@ def _module(own):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     memory, directions = affine_memory(own)
-    sigma_w = tuning.SIGMA_W[scenario.estimator]
+    sigma_w = {rule: noise.sigma_w for rule, noise in tuning.NOISES[scenario.estimator].items()}
     built = functions.build_functions(scenario)
     text = functions.c_text(built)
     return dict(
@@ -168,7 +168,7 @@ def _module(own):
         },
         places=_places(setup),
         states=estimator_of(choice.estimator).states(choice),
-        sigma_w={name: sigma_w[name] for name in ("printed", "likelihood")},
+        sigma_w={name: sigma_w[name] for name in ("printed", "prediction")},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),
@@ -272,7 +272,7 @@ def _scene(scene, defaults):
         (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
         for name, module, own in scene["runs"]
     ]
-    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.SIGMA_W["rhe"]["likelihood"])
+    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.NOISES["rhe"]["prediction"].sigma_w)
     values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
     return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
 

@@ -25,10 +25,11 @@ LIVE = {
     "b": "S4 H2 M1 M2 B1 B2 B3 B4 B5 B7 B8 B9 B10 B12 B13 B14 B18 B19 B20 C2 C3",
 }
 _INTRODUCTION = """A claim *holds* if the whole 95 % interval lies on its side of the bound, and
-*does not hold* if none of it does; otherwise it is undecided ([how claims are
-judged](docs/claims.md)). Where the verdict names a departure, the text as printed gives the other.
-A verdict *by derivation* follows from equations or from the paper's own numbers. A click on a
-card shows the paper's words, the rule, the reason and the command that judges the claim again."""
+*does not hold* if none of it does; otherwise it is undecided. A number of the paper is *met*,
+*possible* for a single drive, or *not met* ([how claims are judged](docs/claims.md)). Where the
+verdict names a departure, the text as printed gives the other. A verdict *by derivation* follows
+from equations or from the paper's own numbers. A click on a card shows the paper's words, the rule,
+the reason and the command that judges the claim again."""
 _TEMPLATE = Path(__file__).with_name("cards.html.j2")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.
@@ -120,7 +121,7 @@ def _as_number(paper):
 
 
 def _conditions(text):
-    """[(condition, verdict, sign)] of "as printed: holds; W by likelihood: undecided"."""
+    """[(condition, verdict, sign)] of "as printed: holds; W by prediction: undecided"."""
     pairs = [part.rsplit(": ", 1) for part in text.split("; ") if part]
     return [(name, verdict, LOOKS[kind_of(verdict)][1]) for name, verdict in pairs if name]
 

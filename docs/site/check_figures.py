@@ -2,7 +2,8 @@
 
     python -m docs.site.check_figures
 
-It fails if one differs, and says where. Tables of computation times are not among them.
+It fails if one differs, and says where. Tables of computation times are not among them. A table
+that a notebook has made with other parameters is of another world, and is compared with nothing.
 """
 
 import sys
@@ -11,9 +12,9 @@ import pandas as pd
 from pandas.testing import assert_frame_equal
 
 from notebooks.studies.answer import RESULTS
-from rhec.style import ROOT
+from rhec.style import ROOT, note_of
 
-__all__ = ["difference"]
+__all__ = ["difference", "main"]
 
 TOLERANCE = 1e-6  # relative: more than compilers differ by, less than any conclusion needs
 
@@ -39,12 +40,17 @@ def _without_times(table):
     return table.mask(table.map(lambda cell: "on this machine" in str(cell)), "a time")
 
 
-def _main():
+def main():
     accept = []
+    others = 0
     for file in sorted(RESULTS.glob("*.csv")):
         made = ROOT / "figures" / file.name
         if not made.exists():
             print(f"{file.stem}: not made yet")
+            continue
+        if note := note_of(made):
+            print(f"{file.stem}: another world ({note}); `make figures studies` makes the paper's")
+            others += 1
             continue
         found = difference(pd.read_csv(made), pd.read_csv(file))
         print(f"{file.stem}: {found or 'the same'}")
@@ -52,8 +58,8 @@ def _main():
     if accept:
         print("\nIf the new numbers are right:")
         print(f"  cp {' '.join(accept)} data/results/ && python -m docs.site.results")
-    return int(bool(accept))
+    return int(bool(accept or others))
 
 
 if __name__ == "__main__":
-    sys.exit(_main())
+    sys.exit(main())

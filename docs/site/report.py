@@ -33,7 +33,7 @@ from docs.site.content_policy import with_policy
 from notebooks.captions import alternative_text, with_captions, without_links
 from notebooks.claims.rules import CLAIMS
 from notebooks.parameter_table import parameters_of
-from notebooks.plots.claims import kind_of
+from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies import answer, timing
 from rhec import __version__, style
 
@@ -138,15 +138,26 @@ def _lay_out(source, notebooks, figures, live):
 
 
 def _link_cards(readme):
-    """Let the bar of verdicts lead to the cards of each: on the site the ledger is that page."""
+    """Give each verdict its colour, and let the counts of the ledger lead to the cards."""
     text = readme.read_text(encoding="utf-8")
 
     def link(part):
-        kind = quote(kind_of(part[2]))
-        return f'<a href="claims.html?verdict={kind}">{part[1]}{part[2]}{part[3]}</a>'
+        kind = quote(kind_of(part[1]))
+        return f'<a href="claims.html?verdict={kind}">{_coloured(part[1])}{part[2]}</a>'
 
-    text = re.sub(rf"\[(\W+)(.*?)(: \d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
+    def cell(part):
+        return f"| {_coloured(part[1])}"
+
+    text = re.sub(rf"\[([^\[\]]*?)(: \d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
+    words = "|".join(sorted(answer.VERDICTS, key=len, reverse=True))
+    text = re.sub(rf"\| ({words})(?=:| \|)", cell, text)
     readme.write_text(text, encoding="utf-8")
+
+
+def _coloured(verdict):
+    """A verdict in words, with its colour beside it."""
+    colour, _ = LOOKS[kind_of(answer.VERDICTS.get(verdict, verdict))]
+    return f'<span class="verdict" style="--verdict: {colour}">{verdict}</span>'
 
 
 # ---------------------------------------------------------------- notebooks

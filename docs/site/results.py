@@ -1,4 +1,4 @@
-"""What README.md says of the results, from the tables in data/results/.
+"""What README.md and docs/ say of the results, from the tables in data/results/.
 
     python -m docs.site.results
 
@@ -10,24 +10,40 @@ from pathlib import Path
 
 import pandas as pd
 
+from notebooks.claims import summary
+from notebooks.claims.rules import CLAIMS
 from notebooks.further import traction_map
 from notebooks.studies import answer
 
-__all__ = ["BLOCKS", "rewrite"]
+__all__ = ["BLOCKS", "PAGES", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("README.md", "docs/results.md", "docs/claims.md")
+
+
+def _table(name, **options):
+    return pd.read_csv(answer.RESULTS / f"{name}.csv", **options)
+
+
+def _n_claims():
+    return (
+        f"The ledger lists {len(CLAIMS)} sentences of the paper that can be checked, each quoted "
+        "with its section."
+    )
+
+
 BLOCKS = {
-    "answer": lambda: answer.in_words(),
-    "beside": lambda: answer.to_markdown(answer.paper_beside_ours()),
+    "answer": lambda: answer.first_screen(),
     "bar": lambda: answer.bar(),
-    "worth": lambda: traction_map.rule_in_words(_map()),
+    "sentence": lambda: f"**{answer.in_short(_table('table_scenario_b'))}**",
+    "words": lambda: answer.in_words(),
+    "numbers": lambda: answer.to_markdown(answer.scenario_b_numbers()),
+    "turns": lambda: answer.to_markdown(answer.by_turns()),
+    "sentences": lambda: answer.to_markdown(answer.sentences()),
+    "changes": lambda: answer.to_markdown(summary.changes(_table("claims"), CLAIMS)),
+    "counted": _n_claims,
+    "worth": lambda: traction_map.rule_in_words(_table("table_traction_map", dtype=dict(told=str))),
 }
-
-
-def _map():
-    return pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
-
-
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -37,5 +53,6 @@ def rewrite(text):
 
 
 if __name__ == "__main__":
-    page = ROOT / "README.md"
-    page.write_text(rewrite(page.read_text(encoding="utf-8")), encoding="utf-8")
+    for name in PAGES:
+        page = ROOT / name
+        page.write_text(rewrite(page.read_text(encoding="utf-8")), encoding="utf-8")

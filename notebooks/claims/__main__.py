@@ -16,13 +16,17 @@ from notebooks.studies.statistics import CONFIDENCE
 from notebooks.studies.tables import interval_text
 
 _FIELDS = 40  # as in the first look of the ledger
+_NOT_YET = "not judged yet"  # of a claim that the ledger in data/results does not have
 
 
 def _listed():
     """One line for each claim: id, sentence, and the verdict of the ledger."""
     verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     width = max(len(claim.claim) for claim in CLAIMS.values())
-    return [f"{id_:4}{claim.claim:{width}}  {verdicts[id_]}" for id_, claim in CLAIMS.items()]
+    return [
+        f"{id_:4}{claim.claim:{width}}  {verdicts.get(id_, _NOT_YET)}"
+        for id_, claim in CLAIMS.items()
+    ]
 
 
 def _report_lines(id_, fields):

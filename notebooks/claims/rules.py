@@ -6,6 +6,7 @@ entry means. Evidence is {(process noise, kind, id): DataFrame}, where kind is "
 functions here.
 """
 
+import inspect
 import re
 import tomllib
 from collections.abc import Callable
@@ -15,14 +16,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from notebooks.claims.run_sets import PROCESS_NOISES
 from notebooks.studies import statistics, timing
-from notebooks.studies.statistics import AS_PRINTED, CONFIDENCE, LOST, UNTESTABLE, Finding
+from notebooks.studies.statistics import (
+    AS_PRINTED,
+    CONDITIONS,
+    CONFIDENCE,
+    LOST,
+    UNTESTABLE,
+    Finding,
+    is_lost,
+)
 from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-LIKELIHOOD = "W by likelihood"
 _FILE = Path(__file__).with_name("claims.toml")
-_CONDITIONS = {"printed": AS_PRINTED, "likelihood": LIKELIHOOD}  # of each process noise
 
 
 class Condition(NamedTuple):
@@ -73,6 +81,7 @@ class Claim(NamedTuple):
         derived: Whether the verdict follows from equations or from the paper's own numbers.
         beside: {what: Condition}, numbers shown beside the verdict that do not decide it.
         why: The reason for the verdict, where it is known.
+        mended: What was changed of its rule after a verdict by an earlier one was published.
     """
 
     section: str
@@ -83,6 +92,7 @@ class Claim(NamedTuple):
     derived: bool
     beside: dict[str, Condition]
     why: str
+    mended: str
 
 
 # Rules on the paper's own numbers: functions of the evidence, which most of them do not need.
@@ -140,6 +150,12 @@ def _table_extremes(evidence, confidence):
     return statistics.between(np.min(np.abs(differences)), above=2e-4)
 
 
+def _feedback_share(evidence, confidence):
+    """The feedback phases of RHE and RHC are less than the whole step, by the paper's averages."""
+    feedback_ms = sum(paper.TABLE_1_MS[problem, "feedback"][1] for problem in ("RHE", "RHC"))
+    return statistics.between(feedback_ms / paper.STEP_MEAN_MS, below=1)
+
+
 def _parameters_of_p(speed_model, evidence, confidence):
     """Eq. (6) has the two parameters that the paper counts."""
     return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
@@ -153,6 +169,7 @@ _EXACT_RULES = {  # name: {condition: Condition}
     "process_noise_sizes": {"": Condition(_process_noise_sizes)},
     "table_sums": {"": Condition(_table_sums)},
     "table_extremes": {"": Condition(_table_extremes)},
+    "feedback_share": {"": Condition(_feedback_share)},
     "parameters_of_p": {
         AS_PRINTED: Condition(partial(_parameters_of_p, "parameter")),
         "ν as input": Condition(partial(_parameters_of_p, "input")),
@@ -163,26 +180,47 @@ _EXACT_RULES = {  # name: {condition: Condition}
 # Rules on tables
 
 
-_RULES = {
-    "always": statistics.always,
-    "always_relative_to_oracle": statistics.always_relative_to_oracle,
-    "difference": statistics.difference,
-    "mean": statistics.mean,
-    "possible": statistics.possible,
-    "ratio": statistics.ratio,
-    "relative_to_oracle": statistics.relative_to_oracle,
-    "reported": statistics.reported,
-    "share": statistics.share,
-    "share_twice": statistics.share_twice,
-}
+class _RuleKind(NamedTuple):
+    """A rule on samples.
+
+    Args:
+        judge: Function of the samples, its bounds and `confidence` that returns a Finding.
+        bound: What it asks for, in words, where no bound says so.
+        paper: The paper's word for that.
+        combined: As in Rule.
+    """
+
+    judge: Callable
+    bound: str = ""
+    paper: str = ""
+    combined: Callable = statistics.combined
+
+    @property
+    def takes(self):
+        """How many samples it takes: its parameters before the first that is a setting."""
+        names = list(inspect.signature(self.judge).parameters)
+        return next(place for place, name in enumerate(names) if name in _SETTINGS)
+
+
 _EVERY_CASE = "every case"
-_BOUNDS = dict(always=_EVERY_CASE, always_relative_to_oracle=_EVERY_CASE)
-_BOUNDS |= dict(possible="one case", reported="usual")
-_PAPERS = {"always": "all", "possible": "may"}
+_SETTINGS = ("above", "below", "number", "within", "confidence")
+_RULES = {
+    "always": _RuleKind(statistics.always, _EVERY_CASE, "all"),
+    "always_relative_to_oracle": _RuleKind(statistics.always_relative_to_oracle, _EVERY_CASE),
+    "difference": _RuleKind(statistics.difference),
+    "mean": _RuleKind(statistics.mean),
+    "possible": _RuleKind(statistics.possible, "one case", "may", statistics.combined_possible),
+    "ratio": _RuleKind(statistics.ratio),
+    "relative_to_oracle": _RuleKind(statistics.relative_to_oracle),
+    "reported": _RuleKind(statistics.reported, "met"),
+    "share": _RuleKind(statistics.share),
+    "share_less": _RuleKind(statistics.share_less),
+    "share_twice": _RuleKind(statistics.share_twice),
+}
 _KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
 _ENTRIES = {"sentence", "quote", "test", "rule", "of", "departures", "paper", "other_worlds", "why"}
-_ENTRIES |= {"derived", "beside", "rival", *_KINDS}
-_OF_RULES = {"name", "above", "below", "unit"}
+_ENTRIES |= {"derived", "beside", "rival", "process_noises", "mended", *_KINDS}
+_OF_RULES = {"name", "above", "below", "within", "unit"}
 
 
 def _judge(evidence, confidence, rule, bounds, tables, expressions):
@@ -196,11 +234,12 @@ def _judge(evidence, confidence, rule, bounds, tables, expressions):
     return rule(*values, **bounds, confidence=confidence)
 
 
-def _unless_lost(evidence, confidence, judge, rival, lost):
-    """The Finding of `judge`; where the rival is lost in most fields, that is its verdict."""
+def _unless_lost(evidence, confidence, judge, rival):
+    """The Finding of `judge`; where the rival is lost, that is its verdict."""
     finding = judge(evidence, confidence)
-    is_lost = _value(evidence[rival], lost).mean() > 0.5
-    return finding._replace(verdict=LOST, p=np.nan) if is_lost else finding
+    if is_lost(evidence[rival]["mean_error_m"].mean()):
+        return finding._replace(verdict=LOST, p=np.nan)
+    return finding
 
 
 def _value(table, expression):
@@ -223,22 +262,32 @@ def _condition(entry, expressions, process_noise, instead):
     """
     (kind,) = (kind for kind in _KINDS if kind in entry)
     settings = entry["rule"]
-    bounds = {side: settings[side] for side in ("above", "below") if side in settings}
-    if settings["name"] == "reported":
-        bounds["paper"] = entry["paper"]
+    rule = _RULES[settings["name"]]
+    bounds = {name: settings[name] for name in ("above", "below", "within") if name in settings}
+    if "number" in inspect.signature(rule.judge).parameters:
+        bounds["number"] = entry["paper"]
     tables = tuple((process_noise, _KINDS[kind], instead.get(id_, id_)) for id_ in entry[kind])
     columns = [expressions.get(each, each) for each in entry["of"]]
+    if len(tables) * len(columns) != rule.takes:
+        given = f"{len(tables)} table(s) and {len(columns)} expression(s)"
+        raise ValueError(f"{settings['name']} takes {rule.takes} sample(s), not those of {given}")
     judge = partial(
         _judge,
-        rule=_RULES[settings["name"]],
+        rule=rule.judge,
         bounds=bounds,
         tables=tables,
         expressions=[instead.get(column, column) for column in columns],
     )
     if "rival" in entry:
         place = entry[kind].index(entry["rival"])
-        judge = partial(_unless_lost, judge=judge, rival=tables[place], lost=expressions["lost"])
+        judge = partial(_unless_lost, judge=judge, rival=tables[place])
     return Condition(judge, tables)
+
+
+def _process_noises(entry, default=PROCESS_NOISES):
+    """The process noises that an entry is judged under; "all" are those of every rule of W."""
+    noises = entry.get("process_noises", default)
+    return tuple(CONDITIONS) if noises == "all" else tuple(noises)
 
 
 def _departures_of(entry, departures):
@@ -253,14 +302,14 @@ def _departures_of(entry, departures):
 def _by_condition(entry, expressions, departures):
     """{condition: Condition}: the process noises as the paper has it, then with each departure."""
     conditions = {
-        name: _condition(entry, expressions, process_noise, {})
-        for process_noise, name in _CONDITIONS.items()
+        CONDITIONS[process_noise]: _condition(entry, expressions, process_noise, {})
+        for process_noise in _process_noises(entry)
     }
     for departure in departures:
-        fixed = departure.get("process_noises")  # where the departure sets W itself
-        for process_noise in fixed or _CONDITIONS:
-            both = process_noise == "likelihood"
-            name = f"{LIKELIHOOD}, {departure['name']}" if both else departure["name"]
+        for process_noise in departure.get("process_noises", PROCESS_NOISES):
+            name = departure["name"]
+            if process_noise != "printed":
+                name = f"{CONDITIONS[process_noise]}, {name}"
             conditions[name] = _condition(entry, expressions, process_noise, departure["instead"])
     return conditions
 
@@ -268,20 +317,26 @@ def _by_condition(entry, expressions, departures):
 def _rule_on_tables(entry, expressions, departures):
     """The Rule of an entry that is judged on tables."""
     settings = entry["rule"]
-    name = settings["name"]
+    kind = _RULES[settings["name"]]
     sides = {">": settings.get("above"), "<": settings.get("below")}
     words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
     conditions = _by_condition(entry, expressions, _departures_of(entry, departures))
-    # Neither process noise nor world affects a property, so it has one condition without a name.
+    # Neither process noise nor world affects a property, so that one condition is left of each.
     if "property" in entry:
-        conditions = {"": conditions[AS_PRINTED]}
+        conditions = {
+            name: condition
+            for name, condition in conditions.items()
+            if condition.tables[0][0] == "printed"
+        }
+        if len(conditions) == 1:
+            conditions = {"": conditions[AS_PRINTED]}
     changes = "property" not in entry and not entry.get("derived", False)
     return Rule(
         conditions,
         settings.get("unit", "-"),
-        entry.get("paper", _PAPERS.get(name, "")),
-        _BOUNDS.get(name, words),
-        statistics.combined_possible if name == "possible" else statistics.combined,
+        entry.get("paper", kind.paper),
+        kind.bound or words,
+        kind.combined,
         changes and entry.get("other_worlds", True),
     )
 
@@ -291,9 +346,9 @@ def _beside(entry, expressions):
     found = {}
     for part in entry.get("beside", []):
         # No process noise affects a property.
-        noises = ["printed"] if "property" in part else part.get("process_noises", _CONDITIONS)
+        noises = ["printed"] if "property" in part else _process_noises(part)
         for process_noise in noises:
-            name = "" if "property" in part else f", {_CONDITIONS[process_noise]}"
+            name = "" if "property" in part else f", {CONDITIONS[process_noise]}"
             found[part["what"] + name] = _condition(part, expressions, process_noise, {})
     return found
 
@@ -320,6 +375,7 @@ def _claim(section, entry, expressions, departures):
         entry.get("derived", False),
         _beside(entry, expressions),
         entry.get("why", ""),
+        entry.get("mended", ""),
     )
 
 

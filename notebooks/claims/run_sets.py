@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.rivals import RIVALS, by_name
 from notebooks.studies.parallel import map_runs
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
@@ -23,7 +24,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.terrain import Terrain
 
-PROCESS_NOISES = ("printed", "likelihood")
+PROCESS_NOISES = ("printed", "prediction")
 LOOK_AHEAD_M = 0.5
 _SWING_M = 0.05  # an offset to one side and then to the other counts as a swing from here on
 _SLIPPERY = dict(kappa_mean=0.5, kappa_deviation=0.2, mu_mean=0.7, mu_deviation=0.15, speed_mps=0.3)
@@ -38,14 +39,17 @@ _ORACLE = dict(estimator="oracle", process_noise="printed")  # it has no W
 
 
 def _traction_noise_times(factor):
-    """The RHE's W with the standard deviations of μ and κ times `factor`."""
+    """The RHE's W, a world's own if it has one, with the deviations of μ and κ times `factor`."""
     factors = (1, 1, 1, 1, factor, factor)
-    return lambda process_noise: tuple(
-        np.multiply(factors, tuning.SIGMA_W["rhe"][process_noise]).tolist()
-    )
+
+    def of(process_noise, world):
+        sigma_w = world.get("sigma_w") or tuning.NOISES["rhe"][process_noise].sigma_w
+        return tuple(np.multiply(factors, sigma_w).tolist())
+
+    return of
 
 
-def _dead_reckoning(process_noise):
+def _dead_reckoning(process_noise, world):
     """An estimator (memory, z) -> (memory, estimate) that does not estimate the yaw.
 
     The yaw is the sum of the encoders' yaw rates since the start. Position and speed are as
@@ -58,36 +62,61 @@ def _dead_reckoning(process_noise):
     return ca.Function("dead_reckoned", [memory, z], [estimate, estimate], options)
 
 
-def _by_tracking(estimator):
-    """Fields of an estimator with the W that tracks best."""
-    return dict(estimator=estimator, process_noise="tracking")
+def _like_rhe(estimator):
+    """Fields of an estimator whose W is by the same rule as the RHE's.
+
+    Where that rule was not tuned for it, it has the RHE's own W and V, without those of what it
+    does not estimate.
+    """
+
+    noises = tuning.noises_of(by_name(estimator))
+
+    def noise(name, entries):
+        def of(process_noise, world):
+            if process_noise in noises:
+                return None
+            return getattr(tuning.NOISES["rhe"][process_noise], name)[:entries]
+
+        return of
+
+    entries = len(noises["printed"].sigma_w)
+    return dict(
+        estimator=by_name(estimator),
+        process_noise=lambda rule, world: rule if rule in noises else None,
+        sigma_w=noise("sigma_w", entries),
+        sigma_v=noise("sigma_v", len(paper.SIGMA_V)),
+    )
 
 
+_LEFT = dict(turns="left")
+_FROM_THE_OTHER_SIDE = dict(start_offset_m=-paper.START_OFFSET_M)
 _SMOOTHED = dict(arrival_mean="smoothed")
 
-# id: fields of Scenario; a field may be a function of the process noise, the controller is one of
-# the Scenario
+# id: fields of Scenario; a field may be a function of the process noise and the world, the
+# controller is one of the Scenario
 RUNS = {
     "rhe": dict(),
     "rhe_smoothed": _SMOOTHED,
-    "rhe_consistent": dict(process_noise="consistent"),
     "rhe_constant_parameters": dict(sigma_w=_traction_noise_times(0.0)),
     "ekf": dict(estimator="ekf"),
-    "ekf_consistent": dict(estimator="ekf", process_noise="consistent"),
     "oracle": _ORACLE,
-    "no_slip": dict(estimator="rhe_no_slip"),
-    "fixed_traction": dict(estimator="rhe_fixed_traction"),
-    "bounded_ekf": dict(estimator="bounded_ekf"),
-    "rhe_tracking": _by_tracking("rhe"),
-    "bounded_ekf_tracking": _by_tracking("bounded_ekf"),
+    "no_slip": _like_rhe("rhe_no_slip"),
+    "fixed_traction": _like_rhe("rhe_fixed_traction"),
+    "bounded_ekf": _like_rhe("bounded_ekf"),
+    "rhe_left": _LEFT,
+    "ekf_left": _LEFT | dict(estimator="ekf"),
+    "no_slip_left": _LEFT | _like_rhe("rhe_no_slip"),
+    "fixed_traction_left": _LEFT | _like_rhe("rhe_fixed_traction"),
     # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(estimator="yaw_drift_ekf", process_noise="likelihood", duration_s=270.0)
+    "cautious": dict(
+        estimator=RIVALS["yaw_drift_ekf"], process_noise="prediction", duration_s=270.0
+    )
     | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
-    "fixed_traction_constant": _CONSTANT | dict(estimator="rhe_fixed_traction"),
+    "fixed_traction_constant": _CONSTANT | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "rhe_uncertain": _UNSURE,
-    "no_slip_uncertain": _UNSURE | dict(estimator="rhe_no_slip"),
-    "fixed_traction_uncertain": _UNSURE | dict(estimator="rhe_fixed_traction"),
+    "no_slip_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_no_slip"]),
+    "fixed_traction_uncertain": _UNSURE | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "oracle_uncertain": _UNSURE | _ORACLE,
     "ltv_mpc": dict(controller=ltv_mpc.controller),
     "dead_reckoning": dict(estimator=_dead_reckoning, process_noise="printed"),  # it has no W
@@ -95,17 +124,19 @@ RUNS = {
     "q1": dict(q=paper.Q1) | _ON_ROW,
     "q2": dict(q=paper.Q2) | _ON_ROW,
     "q2_look_ahead": dict(q=paper.Q2, look_ahead_m=LOOK_AHEAD_M) | _ON_ROW,
+    "q2_other_side": dict(q=paper.Q2) | _ON_ROW | _FROM_THE_OTHER_SIDE,
     "q3": dict(q=paper.Q3) | _ON_ROW,
+    "q3_other_side": dict(q=paper.Q3) | _ON_ROW | _FROM_THE_OTHER_SIDE,
     "q2_small_r": dict(q=paper.Q2, r=paper.R / 100) | _ON_ROW,
     "q3_small_r": dict(q=paper.Q3, r=paper.R / 100) | _ON_ROW,
     "q3_no_terminal_weight": dict(q=paper.Q3, qn_factor=0.0) | _ON_ROW,
-    "augmented_ekf_slippery": _SLIPPERY | dict(estimator="augmented_ekf"),
+    "augmented_ekf_slippery": _SLIPPERY | dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf_slippery": _SLIPPERY | dict(estimator="bounded_ekf"),
 }
 LOGS = {
     "rhe": dict(),
     "rhe_smoothed": _SMOOTHED,
-    "rhe_consistent": dict(process_noise="consistent"),
+    "no_slip": _like_rhe("rhe_no_slip"),
     "rhe_small_w": dict(sigma_w=_traction_noise_times(0.1)),
     "rhe_poor_start": dict(guess_yaw_rad=1.0),
     "rhe_undisturbed": _CONSTANT | _UNDISTURBED,
@@ -113,24 +144,26 @@ LOGS = {
     "ekf_path_yaw_rate": _PATH_YAW_RATE,
     "ekf_path_yaw_rate_undisturbed": _CONSTANT | _UNDISTURBED | _PATH_YAW_RATE,
     "ekf_undisturbed": _CONSTANT | _UNDISTURBED | dict(estimator="ekf"),
-    "augmented_ekf": dict(estimator="augmented_ekf"),
+    "augmented_ekf": dict(estimator=RIVALS["augmented_ekf"]),
     "bounded_ekf": dict(estimator="bounded_ekf"),
     "q2": dict(q=paper.Q2) | _ON_ROW,
+    "q2_other_side": dict(q=paper.Q2) | _ON_ROW | _FROM_THE_OTHER_SIDE,
     "q2_slow": dict(q=paper.Q2, speed_mps=0.3, duration_s=100.0),
     "q2_fast": dict(q=paper.Q2, speed_mps=0.7, duration_s=42.0),
 }
 # Drives along the first row alone; LOGS of another speed bring their own time.
-ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]} | {"q2"}
+ON_ROW = {id_ for id_ in RUNS if RUNS[id_].get("duration_s") == _ON_ROW["duration_s"]}
+ON_ROW |= {"q2", "q2_other_side"}
 _FIELDS = "duration_s mu_deviation kappa_deviation".split()  # of Scenario, columns of each table
 
 
 # Runs
 
 
-def fields_of(fields, process_noise):
-    """Fields of RUNS or LOGS but for a controller, under a process noise, which some depend on."""
+def fields_of(fields, process_noise, world):
+    """Fields of RUNS or LOGS but for a controller, under a process noise in a world."""
     return {
-        name: of(process_noise) if callable(of) else of
+        name: of(process_noise, world) if callable(of) else of
         for name, of in fields.items()
         if name != "controller"
     }
@@ -141,11 +174,12 @@ def scenarios(fields, process_noise, seeds, world=None):
 
     Args:
         fields: Of RUNS or LOGS; they take precedence over those of the world.
-        process_noise: "printed" or "likelihood".
+        process_noise: "printed" or "prediction".
         seeds: Seeds of the fields.
         world: Fields of Scenario.
     """
-    every = (world or {}) | dict(process_noise=process_noise) | fields_of(fields, process_noise)
+    world = world or {}
+    every = world | dict(process_noise=process_noise) | fields_of(fields, process_noise, world)
     made = [Scenario(seed=seed, **every) for seed in seeds]
     if "controller" not in fields:
         return made
@@ -251,21 +285,42 @@ def _traction(run, c):
 
 
 def _offsets(run, c, settling_time_s):
-    """Yaw bias and offset to the left in left-hand curves, and swings across the path.
+    """Yaw bias and offset to the left in curves to either hand, swings, and metres of row.
 
-    A robot that never settles has no curve that counts: its bias and offset are zero.
+    Soil that slips on one side turns the robot to one hand, so that what a curve to the left shows
+    one to the right need not: `yaw_bias_rad` and `offset_curves_m` are means of the absolute values
+    over both hands. A hand without a curve that counts is left out; without any they are zero.
     """
-    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
-    poses, curvature = run.path.poses(s)
+    poses, curvature = _along_path(run, c)
     x_m, y_m, theta_rad = poses.T
     left_m = (c.y_m - y_m) * np.cos(theta_rad) - (c.x_m - x_m) * np.sin(theta_rad)
-    curved = (curvature > 0) & (c.t_s >= settling_time_s + 5)
+    counted = c.t_s >= settling_time_s + 5
+    hands = dict(left=(curvature > 0) & counted, right=(curvature < 0) & counted)
+    hands = {hand: curved for hand, curved in hands.items() if curved.any()}
+    yaw_error_rad = c.theta_hat_rad - c.theta_rad
+    bias_rad = {hand: yaw_error_rad[curved].mean() for hand, curved in hands.items()}
+    offset_m = {hand: left_m[curved].mean() for hand, curved in hands.items()}
     side = np.sign(left_m[np.abs(left_m) > _SWING_M])
+    row_m = paper.DT_S * np.sum((c.mu * np.abs(c.nu_mps))[counted & c.on_straight])
     return dict(
-        yaw_bias_rad=np.mean((c.theta_hat_rad - c.theta_rad)[curved]) if curved.any() else 0.0,
-        offset_curves_m=left_m[curved].mean() if curved.any() else 0.0,
+        yaw_bias_rad=_mean_size(bias_rad),
+        yaw_bias_left_rad=bias_rad.get("left", 0.0),
+        yaw_bias_right_rad=bias_rad.get("right", 0.0),
+        offset_curves_m=_mean_size(offset_m),
         swings=np.sum(np.diff(side) != 0),
+        row_m=row_m,
     )
+
+
+def _along_path(run, c):
+    """Poses (n, 3) and curvatures (n,) of the path at its points closest to the robot."""
+    _, s = run.path.project(np.column_stack([c.x_m, c.y_m]))
+    return run.path.poses(s)
+
+
+def _mean_size(by_hand):
+    """The mean absolute value of a dict's numbers; zero of none."""
+    return float(np.mean(np.abs([*by_hand.values()]))) if by_hand else 0.0
 
 
 def _speeds_and_commands(run, c):
@@ -284,18 +339,27 @@ def _speeds_and_commands(run, c):
 
 
 def _kkt(run, c, settling_time_s):
-    """KKT tolerances: medians before and after arrival, at the start and late."""
+    """KKT tolerances: medians before and after arrival, at the start and late.
+
+    A step that was rejected has none.
+    """
     late = c.t_s >= run.scenario.duration_s / 2
     before = c.t_s <= settling_time_s
     after = c.t_s >= settling_time_s
     return dict(
-        kkt_rhc_largest_first=bool(c.t_s[np.argmax(c.kkt_rhc)] <= settling_time_s),
-        kkt_rhc_before=np.median(c.kkt_rhc[before]),
-        kkt_rhc_after=np.median(c.kkt_rhc[after]) if after.any() else np.median(c.kkt_rhc),
-        kkt_rhc_late=np.median(c.kkt_rhc[late]),
-        kkt_rhe_first=np.median(c.kkt_rhe[1:16]),  # 3 s; the first sample has no problem yet
-        kkt_rhe_late=np.median(c.kkt_rhe[late]),
+        kkt_rhc_largest_first=bool(c.t_s[np.nanargmax(c.kkt_rhc)] <= settling_time_s),
+        kkt_rhc_before=_median(c.kkt_rhc[before]),
+        kkt_rhc_after=_median(c.kkt_rhc[after]) if after.any() else _median(c.kkt_rhc),
+        kkt_rhc_late=_median(c.kkt_rhc[late]),
+        kkt_rhe_first=_median(c.kkt_rhe[1:16]),  # 3 s; the first sample has no problem yet
+        kkt_rhe_late=_median(c.kkt_rhe[late]),
     )
+
+
+def _median(values):
+    """Median of what is not NaN; NaN of nothing, as other estimators than the RHE have it."""
+    finite = values[~np.isnan(values)]
+    return np.median(finite) if len(finite) else np.nan
 
 
 def lag_s(estimate, truth, most_s=10.0):

@@ -1,12 +1,33 @@
 """The ledger for readers: its verdicts in numbers, and its tables."""
 
+from pathlib import Path
+
 import pandas as pd
 
-from notebooks.studies.statistics import AS_PRINTED, FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
+from notebooks.studies.statistics import (
+    AS_PRINTED,
+    FAILS,
+    HOLDS,
+    LOST,
+    LOST_ITSELF,
+    MET,
+    NOT_MET,
+    POSSIBLE,
+    UNDECIDED,
+    UNTESTABLE,
+)
 from notebooks.studies.tables import interval_texts
 
 PRINTED = f"{HOLDS} {AS_PRINTED}, not with every departure"
 DEPARTURE = f"{HOLDS} with a departure, not {AS_PRINTED}"
+# A condition of a claim about a number has words of its own.
+_OF_NUMBERS = {MET: HOLDS, NOT_MET: FAILS, LOST_ITSELF: LOST}
+# The verdicts of commit 67f3b9c4, when the path turned to the left alone, W by likelihood had the
+# paper's V, and README and ledger had rules of their own: columns of its data/results/claims.csv.
+_BEFORE = Path(__file__).with_name("before.csv")
+_OLD_RULE = "W by likelihood"
+_NEW_RULE = "W by prediction"
+_SAME_RULE = "The rule is as it was; the path turns to both sides now, and W is tuned again."
 _FALSE_DISCOVERY_RATE = 0.05  # over the whole ledger
 
 
@@ -17,7 +38,9 @@ def class_of(verdict):
     """
     if verdict.endswith(AS_PRINTED):
         return PRINTED
-    return DEPARTURE if verdict.startswith(f"{HOLDS} ") else verdict
+    if verdict.startswith(f"{HOLDS} "):
+        return DEPARTURE
+    return _OF_NUMBERS.get(verdict, verdict)
 
 
 def verdict_counts(table):
@@ -27,11 +50,11 @@ def verdict_counts(table):
         table: The ledger, of `ledger.ledger` or from claims.csv.
 
     Returns:
-        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, does not hold, its rival is
-        lost, undecided, cannot be tested here), with columns "claims" and, of those, "by
-        derivation". Classes without a claim have 0.
+        DataFrame of counts, one row a class (holds, PRINTED, DEPARTURE, possible, does not hold,
+        its rival is lost, undecided, cannot be tested here), with columns "claims" and, of those,
+        "by derivation". Classes without a claim have 0.
     """
-    order = [HOLDS, PRINTED, DEPARTURE, FAILS, LOST, UNDECIDED, UNTESTABLE]
+    order = [HOLDS, PRINTED, DEPARTURE, POSSIBLE, FAILS, LOST, UNDECIDED, UNTESTABLE]
     by_class = table["derived"].groupby(table["verdict"].map(class_of))
     counts = pd.DataFrame({"claims": by_class.size(), "by derivation": by_class.sum()})
     return counts.reindex(order, fill_value=0).astype(int).rename_axis("verdict")
@@ -95,3 +118,66 @@ def in_worlds(table):
     """The claims about driving with the share of the posterior's worlds in which each holds."""
     rows = table[table["posterior"].notna()]
     return readable_ledger(rows, ["claim", "verdict", "posterior"])
+
+
+def changes(table, claims):
+    """The claims whose verdict is another one than in `before.csv`, and what changed it.
+
+    Args:
+        table: The ledger, of `ledger.ledger` or from claims.csv.
+        claims: {id: Claim}, which say what was mended of their rules.
+
+    Returns:
+        DataFrame of texts: id, the paper's sentence, verdict before and now, and the reason, which
+        is the change of the rule, if there is one, and the conditions that say otherwise.
+    """
+    texts = ["id", "claim", "verdict", "conditions"]
+    before = pd.read_csv(_BEFORE)[texts].fillna("").set_index("id")
+    now = table[texts].fillna("").set_index("id")
+    rows = []
+    for id_ in [*now.index, *before.index.difference(now.index)]:
+        old, new = (part.loc[id_] if id_ in part.index else None for part in (before, now))
+        words = [_NONE if row is None else row["verdict"] for row in (old, new)]
+        if words[0].replace(_OLD_RULE, _NEW_RULE) == words[1]:
+            continue
+        sentence = (old if new is None else new)["claim"]
+        reason = _reason(old, new, claims.get(id_)) if new is not None else _gone(id_, claims)
+        rows.append({"id": id_, "the paper": sentence, "before": words[0], "now": words[1]})
+        rows[-1]["reason"] = reason
+    return pd.DataFrame(rows, columns=["id", "the paper", "before", "now", "reason"])
+
+
+_NONE = "–"
+
+
+def _gone(id_, claims):
+    """Why a claim is no more: what the claim that mentions it says of its own rule."""
+    heirs = {heir: claim.mended for heir, claim in claims.items() if id_ in claim.mended.split()}
+    return "; ".join(f"{heir}: {mended}" for heir, mended in heirs.items()) or "It is left out."
+
+
+def _reason(old, new, claim):
+    """Why a verdict changed: the change of the rule, then the conditions that say otherwise."""
+    parts = [claim.mended if claim and claim.mended else _SAME_RULE]
+    if old is None:
+        return parts[0]
+    verdicts = [by_condition(row["conditions"]) for row in (old, new)]
+    both = [condition for condition in verdicts[1] if condition in verdicts[0]]
+    changed = [
+        f"{condition or 'in all cases'}: {verdicts[0][condition]} → {verdicts[1][condition]}"
+        for condition in both
+        if verdicts[0][condition] != verdicts[1][condition]
+    ]
+    added = [
+        f"{condition}, which is new: {verdicts[1][condition]}"
+        for condition in verdicts[1]
+        if condition not in verdicts[0]
+    ]
+    return " ".join([*parts, *(f"{part}." for part in ["; ".join([*changed, *added])] if part)])
+
+
+def by_condition(conditions):
+    """{condition: verdict} of "as printed: holds; W by likelihood: holds", in today's words."""
+    pairs = [part.rsplit(": ", 1) for part in conditions.split("; ") if part]
+    named = [pair if len(pair) == 2 else ["", *pair] for pair in pairs]
+    return {name.replace(_OLD_RULE, _NEW_RULE).strip(": "): verdict for name, verdict in named}

@@ -17,33 +17,30 @@ import numpy as np
 import pandas as pd
 from scipy.special import gammaincinv
 
-from notebooks.studies import calibration
+from notebooks.rivals import RIVALS
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
-from notebooks.studies.tables import readable
+from notebooks.studies.tables import interval_text, readable
 from rhec.simulation import offline
 from rhec.simulation.columns import MEASUREMENTS, TRUTH
 from rhec.simulation.offline import SETTLED_S
 from rhec.simulation.scenario import Scenario
+from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
+_RULES = tuning.RULES[:4]  # all but the one for recorded robots
 ESTIMATORS = {  # fields of Scenario
-    "EKF, printed": dict(estimator="ekf", process_noise="printed"),
-    "EKF, likelihood": dict(estimator="ekf", process_noise="likelihood"),
-    "EKF, consistent": dict(estimator="ekf", process_noise="consistent"),
-    "RHE, printed": dict(process_noise="printed"),
-    "RHE, likelihood": dict(process_noise="likelihood"),
-    "RHE, consistent": dict(process_noise="consistent"),
-    "bounded EKF, likelihood": dict(estimator="bounded_ekf"),
-    "yaw-drift EKF, likelihood": dict(estimator="yaw_drift_ekf"),
-    "traction oracle": dict(estimator="traction_oracle"),
+    f"{estimator.upper()}, {rule}": dict(estimator=estimator, process_noise=rule)
+    for estimator in ("ekf", "rhe")
+    for rule in _RULES
+} | {
+    "bounded EKF, prediction": dict(estimator="bounded_ekf"),
+    "yaw-drift EKF, prediction": dict(estimator=RIVALS["yaw_drift_ekf"]),
+    "traction oracle, prediction": dict(estimator=RIVALS["traction_oracle"]),
 }
-
-
-# `tune` allows NEES, and the errors of x, y, θ, ν, μ and κ over σ, to be off 1 by these factors.
-_BAND = np.array([1.05] + [1.2] * 6)
-_COST = 20.0  # weight of the squared excess over the band
-_MOST = 0.3  # of a standard deviation: ten times that of the GNSS, and more than any error here
+# By this factor NEES by its degrees of freedom, and a state's error over σ, may be off 1.
+_BAND = 1.25
+_EVERY = 5  # `departure` sees every fifth sample: errors last for seconds
 
 
 class Consistency(NamedTuple):
@@ -69,15 +66,9 @@ def measure(scenario, runs):
     places = [0, 1, 3]  # of x, y and ν, which are measured, among the states
     R = np.diag(np.square(tuning.sigma_v_of(scenario)[:3]))
     results = []
-    every = offline.run_estimator_on_all(scenario, runs, "estimate", "covariance")
-    for run, recorded in zip(runs, every):
+    for run, recorded in _estimates(scenario, runs):
         estimate = recorded["estimate"]
-        P = recorded["covariance"]
-        # An EKF without traction states has n_x = 4; the estimate has six entries all the same.
-        # The yaw drift, where it is a seventh state, is not tested.
-        n_x = min(P.shape[1], len(STATES))
-        P = P[:, :n_x, :n_x]
-        error = estimate[:, :n_x] - offline.columns(run, TRUTH[:n_x])
+        error, P = _errors(run, recorded)
         residuals = offline.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
         nees = normalised_squared(error, P)
@@ -89,36 +80,49 @@ def measure(scenario, runs):
     return Consistency(run.columns["t_s"], *(np.array(values) for values in zip(*results)))
 
 
+def _estimates(scenario, runs):
+    """Pairs of a run and what the estimator recorded on it."""
+    every = offline.run_estimator_on_all(scenario, runs, "estimate", "covariance")
+    return zip(runs, every)
+
+
+def _errors(run, recorded, some=slice(None)):
+    """Errors (n, n_x) of the estimates and their covariances (n, n_x, n_x), at some samples.
+
+    An EKF without traction states has n_x = 4; the estimate has six entries all the same. The yaw
+    drift, where it is a seventh state, is not tested.
+    """
+    P = recorded["covariance"][some]
+    n_x = min(P.shape[1], len(STATES))
+    error = recorded["estimate"][some, :n_x] - offline.columns(run, TRUTH[:n_x])[some]
+    return error, P[:, :n_x, :n_x]
+
+
 def measure_all(seeds):
     """{name: Consistency} of all ESTIMATORS on the same runs, one a seed."""
-    runs = calibration.oracle_runs(seeds)
+    runs = simulate([Scenario(estimator="oracle", seed=seed) for seed in seeds])
     return {name: measure(Scenario(**fields), runs) for name, fields in ESTIMATORS.items()}
 
 
-def tune(estimator):
-    """Find a W whose covariance is as large as the errors (NEES close to 1), and that drives well.
+def departure(scenario, runs):
+    """How far a Scenario's estimator departs from consistency on the measurements of runs.
 
-    One-step innovations hardly depend on the covariance of what is not measured, so their
-    likelihood cannot make an estimator consistent. The objective is
+        (ln r)² + Σ (ln r_i)² / n_x
 
-        ln(mean true error) + 20 Σ max(0, |ln r_i| - ln b_i)²
-
-    over the training seeds, where r is NEES by its degrees of freedom and the RMS error over σ of
-    each state, and b is _BAND. The results are those of `calibration.evolve`.
+    where r is NEES by its degrees of freedom n_x, and r_i the mean squared error of state i by its
+    variance, over the settled samples. It is 0 if the covariance is as large as the errors.
     """
-    runs = calibration.oracle_runs(calibration.TRAINING_SEEDS)
-
-    def objective(sigma):
-        fields = calibration.of_errors(estimator, sigma)
-        measured = measure(Scenario(**fields), runs)
-        (_, nees, degrees), *_ = normalised(measured)
-        ratios = np.sqrt(mean_square_errors(measured).mean(axis=0))
-        band = _BAND[: 1 + len(ratios)]
-        excess = np.abs(np.log([nees.mean() / degrees, *ratios])) - np.log(band)
-        error_m = calibration.tracking_error_m(**fields)
-        return np.log(error_m) + _COST * np.sum(np.maximum(excess, 0) ** 2)
-
-    return calibration.evolve(objective, calibration.OF_ERRORS[estimator], _MOST)
+    nees = []
+    squares = []
+    for run, recorded in _estimates(scenario, runs):
+        some = run.columns["t_s"] >= SETTLED_S
+        some[np.arange(len(some)) % _EVERY != 0] = False
+        error, P = _errors(run, recorded, some)
+        nees.append(normalised_squared(error, P))
+        squares.append(np.square(error) / np.diagonal(P, axis1=1, axis2=2))
+    n_x = error.shape[1]
+    of_states = np.concatenate(squares).mean(axis=0)
+    return np.log(np.concatenate(nees).mean() / n_x) ** 2 + np.mean(np.log(of_states) ** 2)
 
 
 def normalised_squared(e, P):
@@ -187,6 +191,49 @@ def consistency_table(measured):
     return pd.DataFrame(rows)
 
 
+def verdicts(table):
+    """What the table of `consistency_table` says of each estimator.
+
+    Returns:
+        DataFrame with columns estimator, nees, low, high, n and verdict; NEES is that by its
+        degrees of freedom. "consistent": its interval, and those of the errors over σ of all
+        states, are within a factor of 1.25 of 1. "too sure", "too cautious": the whole interval of
+        one of them is above or below that; of NEES first, then of the states. Else "undecided".
+    """
+    rows = []
+    for name, of in table.groupby("estimator", sort=False):
+        judged = of[of["quantity"].str.startswith(("NEES", "RMS error over sigma"))]
+        outside = [*_outside(judged.iloc[:1]), *_outside(judged)]
+        is_inside = (judged["low"] > 1 / _BAND) & (judged["high"] < _BAND)
+        otherwise = "consistent" if is_inside.all() else "undecided"
+        nees = judged.iloc[0]
+        about = {"estimator": name, "nees": nees["mean"]} | dict(nees[["low", "high", "n"]])
+        rows.append(about | dict(verdict=next(iter(outside), otherwise)))
+    return pd.DataFrame(rows)
+
+
+def _outside(rows):
+    """The words for those rows whose whole interval is outside the band."""
+    words = []
+    for low, high in zip(rows["low"], rows["high"]):
+        if low > _BAND:
+            words.append("too sure")
+        elif high < 1 / _BAND:
+            words.append("too cautious")
+    return words
+
+
+def in_words(table, names=("RHE, consistent", "EKF, consistent")):
+    """One sentence on each of these estimators of the table of `consistency_table`."""
+    found = verdicts(table).set_index("estimator")
+    parts = [
+        f"{interval_text(*row[['nees', 'low', 'high']])} for the {name}, which is {row['verdict']}"
+        for name, row in found.reindex([name for name in names if name in found.index]).iterrows()
+    ]
+    fields = found["n"].iloc[0]
+    return f"On {fields} fields NEES by its degrees of freedom is {' and '.join(parts)}."
+
+
 def readable_consistency(table):
     """The table of `consistency_table` for readers: one row a quantity, one column an estimator.
 
@@ -200,8 +247,3 @@ def readable_consistency(table):
         high=np.nan,
     )
     return readable(pd.concat([table, shares])[["estimator", "quantity", "mean", "low", "high"]])
-
-
-if __name__ == "__main__":
-    for name in ("rhe", "ekf"):
-        print("consistent", name, *tune(name))

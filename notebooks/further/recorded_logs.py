@@ -40,7 +40,7 @@ def of_the_log(replaying):
 def estimators(process_noise, of_the_rhe):
     """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of two others.
 
-    The W of the others is "printed" or "likelihood". Soil under recorded robots slips more than
+    The W of the others is "printed" or "prediction". Soil under recorded robots slips more than
     that of the default world, so the latter is the likeliest one on softer soil.
     """
     given = of_the_log(of_the_rhe)

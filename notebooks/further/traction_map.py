@@ -15,6 +15,7 @@ import itertools
 import numpy as np
 import pandas as pd
 
+from notebooks.rivals import RIVALS
 from notebooks.studies.answer import to_markdown
 from notebooks.studies.statistics import over_seeds, ratio_of_means
 from rhec import paper
@@ -25,11 +26,14 @@ from rhec.tracked_robot.terrain import Terrain, random_for
 
 VARIATIONS = (0.1, 0.33)  # deviation of κ by its mean slip, 1 - κ
 ERRORS = (-0.2, 0.0, 0.2)  # of the constant κ that a robot is told
+_RIGHT = 0.0
+_OVER_RIGHT = "over_right", "over_right_low", "over_right_high"
 NO_SLIP = "no slip model"  # it is told that μ = κ = 1
 ESTIMATED = "estimated"
 WITH_PAPERS_R = "estimated, R as printed"
 _TRAINING = 1000  # the first seed of the training fields
 _DURATION_S = 120.0
+_ROW_M = 8.0  # so short that a drive has a turn to either side
 _R = (0.01, 0.04, 0.2)  # to choose from
 # Standard deviations in W that each loop chooses from: of the yaw [rad], of μ and κ [1].
 _YAW = (0.01, 0.03, 0.1)
@@ -96,7 +100,10 @@ def _fields(kappas, seeds):
     """{(κ, variation): its fields, one Scenario a seed with its terrain}."""
     fields = {}
     for place in itertools.product(kappas, VARIATIONS):
-        scenarios = [Scenario(duration_s=_DURATION_S, seed=n, **soil(*place)) for n in seeds]
+        scenarios = [
+            Scenario(duration_s=_DURATION_S, row_length_m=_ROW_M, seed=n, **soil(*place))
+            for n in seeds
+        ]
         path = path_of(scenarios[0])
         fields[place] = [dataclasses.replace(s, terrain=random_for(s, path)) for s in scenarios]
     return fields
@@ -108,7 +115,10 @@ def _drives(fields, loop, settings):
         return [dataclasses.replace(each, estimator="bounded_ekf", **settings) for each in fields]
     return [
         dataclasses.replace(
-            each, estimator="fixed_traction", terrain=told_soil(each.terrain, loop), **settings
+            each,
+            estimator=RIVALS["fixed_traction"],
+            terrain=told_soil(each.terrain, loop),
+            **settings,
         )
         for each in fields
     ]
@@ -160,8 +170,9 @@ def worth_map(errors):
 
     Returns:
         DataFrame with columns kappa, variation, told (the error of the constant, or NO_SLIP), mean,
-        low, high, n (of the ratio), and the means with estimated traction: error_m, and
-        error_papers_r_m with the paper's R.
+        low, high, n (of the ratio), the means with estimated traction: error_m, and
+        error_papers_r_m with the paper's R; and over_right, over_right_low, over_right_high, the
+        rival's error over that of a robot that is told the right constants.
     """
     rows = []
     for (kappa, variation, loop), of_rival in errors.items():
@@ -171,7 +182,9 @@ def worth_map(errors):
         about = dict(kappa=kappa, variation=variation, told=str(loop))
         about |= over_seeds(ratio_of_means, estimated, of_rival)._asdict()
         papers_r = errors[kappa, variation, WITH_PAPERS_R]
-        rows.append(about | dict(error_m=estimated.mean(), error_papers_r_m=papers_r.mean()))
+        about |= dict(error_m=estimated.mean(), error_papers_r_m=papers_r.mean())
+        over_right = over_seeds(ratio_of_means, of_rival, errors[kappa, variation, _RIGHT])[:3]
+        rows.append(about | dict(zip(_OVER_RIGHT, over_right)))
     return pd.DataFrame(rows)
 
 
@@ -204,6 +217,23 @@ def counts(table):
     )
 
 
+def _wrong_constants_in_words(driven):
+    """What constants κ cost that are too low and too high, in a sentence after others."""
+    times = {}
+    texts = []
+    for error in (min(ERRORS), max(ERRORS)):
+        rows = driven[driven["told"] == str(error)]
+        if rows.empty:
+            return ""  # a κ above 1 is told to no robot
+        times[error] = np.exp(np.log(rows["over_right"]).mean())
+        has = f"has {times[error]:.2f} times the error of the right one"
+        texts.append(f"{_in_words(str(error))} {has} ({len(rows)} soils)")
+    words = f"a constant {texts[0]}, and one {texts[1].removeprefix('κ ')}"
+    if times[min(ERRORS)] < times[max(ERRORS)]:
+        return f" Whoever has to guess should guess low: {words}."
+    return f" {words[0].upper()}{words[1:]}."
+
+
 def _driven(table):
     """The rows of the soils that a robot can drive which estimates the traction."""
     return table[table["error_m"] < paper.TOLERANCE_M]
@@ -215,12 +245,28 @@ def rule_in_words(table):
     Args:
         table: Of `worth_map`.
     """
-    counted = counts(table).set_index("told")
     driven = _driven(table)
     soils = driven.drop_duplicates(["kappa", "variation"])
     gain = 1 - np.exp(np.log(soils["error_m"] / soils["error_papers_r_m"]).mean())
+    all_soils = len(table.drop_duplicates(["kappa", "variation"]))
+    return (
+        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
+        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
+        f"the {len(soils)} of {all_soils} soils that it can drive. {against_constants(table)}\n\n"
+        + to_markdown(_by_soil(driven))
+    )
+
+
+def against_constants(table):
+    """When estimating the traction pays against constants that a robot is told, in sentences.
+
+    Args:
+        table: Of `worth_map`.
+    """
+    counted = counts(table).set_index("told")
+    driven = _driven(table)
     paid = counted[counted["pays"] > 0]
-    rule = "**Then two constants do as well as an estimate, even if they are wrong.**"
+    rule = "**Two constants do as well as an estimate of the traction, even if they are wrong.**"
     if len(paid):
         highest = driven.loc[driven["high"] < _PAYS, "kappa"].max()
         rivals = ", ".join(
@@ -228,18 +274,12 @@ def rule_in_words(table):
             for told, row in paid.iterrows()
         )
         rule = (
-            f"**Then estimating the traction takes off more than 10 %, with its whole 95 % "
-            f"interval, only where the mean κ is {highest:g} or less, and only against wrong "
-            f"constants**: {rivals}. Against the right constants the error is "
-            f"{counted.loc[str(0.0), 'ratio']:.2f} times theirs."
+            f"**Against two constants that a robot is told, estimating the traction takes off more "
+            f"than 10 %, with its whole 95 % interval, only where the mean κ is {highest:g} or "
+            f"less, and only if they are wrong**: {rivals}. Against the right constants the error "
+            f"is {counted.loc[str(_RIGHT), 'ratio']:.2f} times theirs."
         )
-    all_soils = len(table.drop_duplicates(["kappa", "variation"]))
-    return (
-        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
-        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
-        f"the {len(soils)} of {all_soils} soils that it can drive. {rule}\n\n"
-        + to_markdown(_by_soil(driven))
-    )
+    return f"{rule}{_wrong_constants_in_words(driven)}"
 
 
 def _by_soil(driven):

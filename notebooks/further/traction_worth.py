@@ -21,17 +21,24 @@ PAPERS = "RHE, as printed"
 _RHE = "RHE"
 _BOUNDED = "bounded EKF"
 _DRIFT = "yaw-drift EKF"
+_RHE_DRIFT = "RHE with yaw drift"
+_RHE_GYRO = "RHE with a gyro"
 _TOLD = "traction oracle"  # knows (μ, κ), and estimates its pose
+_TOLD_DRIFT = "drift oracle"  # knows the yaw drift, too
 _FULL = "full oracle"  # knows its pose, too
 LOOPS = {
     "EKF, as printed": dict(estimator="ekf", process_noise="printed"),
     PAPERS: dict(estimator="rhe", process_noise="printed"),
+    "EKF": TUNED["ekf"],
     _RHE: TUNED["rhe"],
+    _RHE_DRIFT: TUNED["rhe_yaw_drift"],
+    _RHE_GYRO: TUNED["rhe_gyro"],
     "RHE, traction two constants": TUNED["rhe_fixed"],
     _BOUNDED: TUNED["bounded_ekf"],
     "EKF, traction two constants": TUNED["fixed_traction"],
     _DRIFT: TUNED["yaw_drift_ekf"],
     _TOLD: TUNED["traction_oracle"],
+    _TOLD_DRIFT: TUNED["drift_oracle"],
     _FULL: TUNED["oracle"],
 }
 # What a part of a loop is worth: (what, the loop with it, the loop without it).
@@ -39,9 +46,13 @@ WORTH = [
     ("the weights R and q_θ, and W: RHE", _RHE, PAPERS),
     ("estimating the traction: EKF", _BOUNDED, "EKF, traction two constants"),
     ("estimating the traction: RHE", _RHE, "RHE, traction two constants"),
+    ("estimating the traction: RHE over the paper's EKF", _RHE, "EKF"),
     ("a window", _RHE, _BOUNDED),
     ("yaw drift as a state: EKF", _DRIFT, _BOUNDED),
+    ("yaw drift as a parameter: RHE", _RHE_DRIFT, _RHE),
+    ("a gyro: RHE", _RHE_GYRO, _RHE),
     ("knowing the traction", _TOLD, _BOUNDED),
+    ("knowing the yaw drift, too", _TOLD_DRIFT, _TOLD),
 ]
 PAYS = "pays"
 COSTS = "costs"

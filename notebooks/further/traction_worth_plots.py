@@ -4,8 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
-from notebooks.further import traction_map, traction_worth
-from notebooks.plots.parts import DOTS, note
+from notebooks.further import traction_map, traction_worth, unknowns
+from notebooks.plots.parts import DOTS, note, panels_beside
 from rhec import paper, style
 
 _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
@@ -74,6 +74,71 @@ def _draw_mean(axes, place, estimate, most, colour):
     else:
         axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
     note(axes, f"{mean:.4f}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
+
+
+_ROBOTS = {  # {robot: colour and line} of the picture of unknowns
+    unknowns.NOTHING: (style.GREY, ":"),
+    unknowns.TOLD_TRACTION: (style.BLACK, ":"),
+    unknowns.TRACTION: (style.COLOURS["RHE"], "--"),
+    unknowns.GYRO: (style.GREEN, "--"),
+    unknowns.DRIFT: (style.PURPLE, "-"),
+    unknowns.BOTH: (style.COLOURS["RHE"], "-"),
+    unknowns.ALL: (style.GREEN, "-"),
+}
+
+_LEAST_M, _MOST_M = 0.008, 0.2  # limits of its axis
+
+
+@style.styled
+def unknowns_by_difference(table):
+    """Draw the errors over the difference of the tracks' slip, and those of other worlds.
+
+    Args:
+        table: Of `notebooks.further.unknowns.worth_table`.
+    """
+    errors = table[table["quantity"] == unknowns.ERROR]
+    figure, panels = panels_beside(2, 2.6)
+    for axes, weights in zip(panels, (unknowns.AS_PRINTED, unknowns.TUNED)):
+        of_weights = errors[errors["weights"] == weights].set_index(["robot", "world"])
+        for number, (robot, (colour, line)) in enumerate(_ROBOTS.items()):
+            shift = 0.03 * (number - len(_ROBOTS) / 2)
+            _draw_robot(axes, of_weights.loc[robot], colour, line, robot, shift)
+        axes.set_title(weights, loc="center")
+        axes.set_xticks(range(len(_places())), [_label(world) for world in _places()], fontsize=5.5)
+        axes.set_yscale("log")
+        axes.set_ylim(_LEAST_M, _MOST_M)
+        axes.set_xlabel("d, by which the left track slips more, and other worlds")
+    panels[0].set_ylabel("mean true error of a drive [m]")
+    panels[1].legend(fontsize=5, ncols=2, loc="upper right")
+    fields = errors["n"].min()
+    words = f"W by prediction, turns to alternate sides, {fields} fields or more of each world"
+    figure.suptitle(words, fontsize=8)
+    return figure
+
+
+def _places():
+    """The worlds along the axis: by d, then the others."""
+    worlds = [*unknowns.WORLDS, unknowns.POSTERIOR]
+    worlds.remove(unknowns.SOFT)  # an oracle is lost in it, too
+    return worlds
+
+
+def _label(world):
+    """A world, at the axis."""
+    return world.removeprefix("d = ").replace("-", "−").replace(", ", ",\n").replace("κ", "κ\n")
+
+
+def _draw_robot(axes, errors, colour, line, label, shift):
+    """Draw the means of a robot with their intervals: a line over d, points for other worlds."""
+    errors = errors.loc[_places()]
+    n = len(unknowns.DIFFERENCES)
+    look = dict(color=colour, markersize=2.5, marker="o", capsize=1, elinewidth=0.6)
+    for part, style_of_line in ((slice(0, n), line), (slice(n, None), "none")):
+        rows = errors.iloc[part]
+        place = np.arange(len(errors))[part] + shift
+        ends = [rows["mean"] - rows["low"], rows["high"] - rows["mean"]]
+        text = label if style_of_line != "none" else None
+        axes.errorbar(place, rows["mean"], yerr=ends, linestyle=style_of_line, label=text, **look)
 
 
 @style.styled

@@ -37,6 +37,7 @@ _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
+_MOST = 10.0  # of a standard deviation
 _UNUSABLE = 1e12  # the objective where a filter diverges
 _SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
@@ -119,7 +120,8 @@ def _tuned(title, log):
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
-    return search(objective, _SEARCHED[title])[0]
+    sigma = search(objective, _SEARCHED[title], most=_MOST)
+    return tuple(float(f"{value:.2g}") for value in sigma)
 
 
 def _middle(calibrations):

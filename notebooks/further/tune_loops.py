@@ -6,7 +6,7 @@ EVALUATIONS for each of its unknowns, the mean true error over the same training
 default world, and the same search on logarithms.
 
 1. At most a third of the budget: points of a Sobol sequence over all bounds, after three points
-   with the likeliest W and R = 10 (the paper's), 1 and 0.1.
+   with W by prediction and R = 10 (the paper's), 1 and 0.1.
 2. The rest: Nelder and Mead's method, half each from the two best points.
 
     python -m notebooks.further.tune_loops [LOOP …]
@@ -21,8 +21,10 @@ import numpy as np
 from scipy import optimize
 from scipy.stats import qmc
 
+from notebooks.rivals import RIVALS
 from notebooks.studies.calibration import tracking_error_m
 from rhec import paper
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 
 EVALUATIONS = 40  # for each unknown
@@ -38,17 +40,18 @@ BOUNDS |= dict(sigma_omega=(5e-3, 0.5))
 _POSE = ("xy", "theta", "nu")
 _RHC = ("r", "q_theta")
 _SOIL = ("mu", "kappa")
-_FILTERED = dict(arrival_mean="filtered")
+_OF_RHE = (*_RHC, *_POSE, *_SOIL, "sigma_omega")
 LOOPS = {  # {loop: (fields of Scenario that it keeps, its unknowns)}
-    "fixed_traction": (dict(estimator="fixed_traction"), _RHC + _POSE),
+    "ekf": (dict(estimator="ekf"), _RHC + _POSE),
+    "fixed_traction": (dict(estimator=RIVALS["fixed_traction"]), _RHC + _POSE),
     "bounded_ekf": (dict(estimator="bounded_ekf"), _RHC + _POSE + _SOIL),
-    "rhe": (dict(estimator="rhe") | _FILTERED, _RHC + _POSE + _SOIL + ("sigma_omega",)),
-    "rhe_fixed": (
-        dict(estimator="rhe_fixed_traction") | _FILTERED,
-        _RHC + _POSE + ("sigma_omega",),
-    ),
-    "yaw_drift_ekf": (dict(estimator="yaw_drift_ekf"), _RHC + _POSE + _SOIL + ("drift",)),
-    "traction_oracle": (dict(estimator="traction_oracle"), _RHC + _POSE),
+    "rhe": (dict(estimator="rhe"), _OF_RHE),
+    "rhe_yaw_drift": (dict(estimator="rhe", yaw_drift=True), (*_OF_RHE, "drift")),
+    "rhe_gyro": (dict(estimator="rhe", sensors=("gyro",)), _OF_RHE),
+    "rhe_fixed": (dict(estimator=RIVALS["rhe_fixed_traction"]), _RHC + _POSE + ("sigma_omega",)),
+    "yaw_drift_ekf": (dict(estimator=RIVALS["yaw_drift_ekf"]), _RHC + _POSE + _SOIL + ("drift",)),
+    "traction_oracle": (dict(estimator=RIVALS["traction_oracle"]), _RHC + _POSE),
+    "drift_oracle": (dict(estimator=RIVALS["drift_oracle"]), _RHC + _POSE),
     "oracle": (dict(estimator="oracle"), _RHC),
 }
 
@@ -67,14 +70,15 @@ def fields_of(loop, values):
 
 
 def _first_points(loop):
-    """Logarithms of the likeliest W with R = 10, 1 and 0.1, and other unknowns in the middle."""
+    """Logarithms of W by prediction with R = 10, 1 and 0.1, and of other unknowns in the middle."""
     kept, unknowns = LOOPS[loop]
-    likeliest = tuning.SIGMA_W.get(kept["estimator"], {}).get("likelihood", ())
+    rules = tuning.noises_of(tuning.name_of_noise(Scenario(**kept)))
+    predicting = rules["prediction"].sigma_w if rules else ()
     bounds = np.array([BOUNDS[name] for name in unknowns])
     for r in (10.0, 1.0, 0.1):
         known = dict(r=r, q_theta=paper.Q3[2])
-        for name in _PLACES.keys() & unknowns if likeliest else ():
-            known[name] = likeliest[_PLACES[name][0]]
+        for name in _PLACES.keys() & unknowns if predicting else ():
+            known[name] = predicting[_PLACES[name][0]]
         middle = np.sqrt(bounds.prod(axis=1))
         values = [known.get(name, value) for name, value in zip(unknowns, middle)]
         yield np.log(np.clip(values, *bounds.T))

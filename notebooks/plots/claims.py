@@ -1,7 +1,7 @@
 """The looks of the verdicts: what the cards of the claims have as colour and sign."""
 
 from notebooks.claims.summary import DEPARTURE, PRINTED, class_of
-from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
+from notebooks.studies.statistics import FAILS, HOLDS, LOST, POSSIBLE, UNDECIDED, UNTESTABLE
 from rhec import style
 
 _PARTLY = "holds as printed or with a departure"
@@ -9,6 +9,7 @@ _PARTLY = "holds as printed or with a departure"
 LOOKS = {
     HOLDS: (style.GREEN, "✓"),
     _PARTLY: (style.BLUE, "±"),
+    POSSIBLE: (style.SKY, "≈"),
     FAILS: (style.VERMILLION, "×"),
     LOST: (style.PURPLE, "∅"),
     UNDECIDED: (style.ORANGE, "?"),

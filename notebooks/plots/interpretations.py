@@ -1,7 +1,7 @@
-"""Effects of the interpretations: the printed and the likelihood W, and changes of the results.
+"""Effects of the interpretations: the printed and the prediction W, and changes of the results.
 
 `sweep` and `runs` are the results of `notebooks.studies.interpretations.swept`; `printed` and
-`likelihood` are two values of the swept standard deviation.
+`prediction` are two values of the swept standard deviation.
 """
 
 import matplotlib.pyplot as plt
@@ -20,13 +20,13 @@ _SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8,
 
 
 def _mark(axes, **values):
-    """Draw vertical lines at the printed and the likelihood value."""
+    """Draw vertical lines at the printed and the prediction value."""
     for (name, value), style in zip(values.items(), ((0, (1, 1)), (0, (4, 2)))):
         axes.axvline(value, color=GREY, linewidth=0.8, linestyle=style, label=name, zorder=1)
 
 
 def _swept(axes, label, **values):
-    """Label the axis of the swept standard deviation, with printed and likelihood value."""
+    """Label the axis of the swept standard deviation, with printed and prediction value."""
     _mark(axes, **values)
     axes.set_xlabel(label)
     axes.minorticks_off()
@@ -42,7 +42,7 @@ def _means(axes, sweep, column, label, colour, marker):
 
 
 @styled
-def ekf_yaw(analysis, sweep, runs, printed, likelihood):
+def ekf_yaw(analysis, sweep, runs, printed, prediction):
     """Draw gains, uncertainty and error of the EKF's yaw over the process noise σ_x.
 
     Args:
@@ -58,7 +58,7 @@ def ekf_yaw(analysis, sweep, runs, printed, likelihood):
         axes.loglog(sigma_x_m, analysis[column], color=colour, label=label)
     _means(yaw, sweep, "rms_yaw_rad", "RMS error, simulated", BLACK, "o")
     for axes in (gains, yaw):
-        _swept(axes, r"$\sigma_x$ of $W_k$ [m a step]", printed=printed, likelihood=likelihood)
+        _swept(axes, r"$\sigma_x$ of $W_k$ [m a step]", printed=printed, prediction=prediction)
     for (value, run), colour in zip(sorted(runs.items()), _COLOURS):
         c = run.columns
         look = dict(color=colour, linewidth=0.7, label=f"{value:g} m")
@@ -72,7 +72,7 @@ def ekf_yaw(analysis, sweep, runs, printed, likelihood):
 
 
 @styled
-def rhe_kappa(analysis, sweep, runs, printed, likelihood):
+def rhe_kappa(analysis, sweep, runs, printed, prediction):
     """Draw the uncertainty and error of the RHE's κ over the process noise σ_κ, and κ over time.
 
     Args:
@@ -86,7 +86,7 @@ def rhe_kappa(analysis, sweep, runs, printed, likelihood):
     simulated.set(xscale="log", ylim=0)
     for axes in (stated, simulated):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
-        _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, likelihood=likelihood)
+        _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, prediction=prediction)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), _COLOURS):
         c = run.columns
         look = dict(color=colour, linewidth=0.8, label=f"{value:g}")
@@ -116,9 +116,9 @@ def likelihood(profiles):
             `notebooks.studies.interpretations.likelihood_profile`.
     """
     figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0))
-    for axes, (title, (table, printed, likelihood)) in zip(panels, profiles.items()):
+    for axes, (title, (table, printed, prediction)) in zip(panels, profiles.items()):
         axes.plot(table["sigma"], table["deviance"], "o-", color=BLUE, markersize=2)
-        _mark(axes, printed=printed, likelihood=likelihood)
+        _mark(axes, printed=printed, prediction=prediction)
         most = min(1.05 * table["deviance"].max(), _MOST_DEVIANCE)
         axes.set(xscale="log", xlabel=title, ylim=(-0.03 * most, most))
         beyond = (table["deviance"] > most).sum()
@@ -140,7 +140,7 @@ def forest(table, baseline):
 
     Args:
         table: Table of `notebooks.studies.interpretations.one_at_a_time`.
-        baseline: Process noise of the baseline, "printed" or "likelihood".
+        baseline: Process noise of the baseline, "printed" or "prediction".
     """
     others = table[table["interpretation"] != "baseline"].drop_duplicates("interpretation")
     names = others["interpretation"]

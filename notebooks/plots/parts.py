@@ -4,8 +4,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import LogLocator
 
+import rhec
 from notebooks.studies.tables import interval_text
 from rhec.style import BLACK, COLOURS, DOUBLE_IN
+from rhec.tracked_robot import tuning
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
@@ -22,6 +24,7 @@ _UNITS = {
     "radps": "rad/s",
 }
 _GREEK = {"theta": "θ", "phi": "φ", "w": "ω"}
+_OF_WORLDS = {field for fields in rhec.WORLDS.values() for field in fields}  # what they differ in
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
 
@@ -33,8 +36,32 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
 
 
 def noise_text(process_noise):
-    """The process noise W of a drive, for a title."""
-    return {"likelihood": "W by likelihood"}.get(process_noise, f"W {process_noise}")
+    """The rule that picked W of a drive, for a title."""
+    rule = process_noise or tuning.DEFAULT_RULE
+    return {
+        "prediction": "W by prediction",
+        "tracking": "W by tracking",
+        "soft_soil": "W by prediction on soft soil",
+    }.get(rule, f"W {rule}")
+
+
+def turns_text(turns):
+    """Which way the path of a drive turns, for a title."""
+    return {
+        "alternate": "turns to alternate sides",
+        "left": "turns to the left only",
+        "right": "turns to the right only",
+        "figure_of_eight": "a figure of eight",
+    }[turns]
+
+
+def world_text(scenario):
+    """The world of a Scenario by its name, for a title."""
+    for name, fields in rhec.WORLDS.items():
+        usual = rhec.Scenario(**fields)
+        if all(getattr(scenario, field) == getattr(usual, field) for field in _OF_WORLDS):
+            return f"{name} world"
+    return "a world of its own"
 
 
 def in_words(name):

@@ -7,11 +7,11 @@ thick lines are 95 % intervals of the mean. Numbers that the paper reports are i
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.plots import parts
 from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
+from notebooks.studies.tables import interval_text
 from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
 from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
@@ -19,14 +19,13 @@ from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
 _TRACTION = LinearSegmentedColormap.from_list("traction", [COLOURS["soil"], "1"])
 _TRACTION_STEP = 0.05
 _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
-_TIGHT = dict(handlelength=1.5, columnspacing=1.2)  # a legend
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
 _LEAST_KKT = 1e-5
-_DOT_AND_LINES = "stroke and thick line: mean, 95 % interval; thin line: middle 90 % of the drives"
 _POOLED = round(1 / paper.DT_S)  # samples of one second
 _MARGIN_M = 2.0  # around a drive on the map
 _MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
 _MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
+_MOST_DIFFERENCE_M = 0.05  # ends of the axis of the difference of two errors
 _START_S = 20.0  # by then each drive that settles at all has left its start behind
 _EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
@@ -46,8 +45,14 @@ _LINES = {
 
 
 def _title(run):
-    """Process noise and seed of a run, for a title."""
-    return f"{parts.noise_text(run.scenario.process_noise)}, seed {run.scenario.seed}"
+    """Process noise, world, turns and seed of a run, for a title."""
+    scenario = run.scenario
+    return f"{parts.noise_text(scenario.process_noise)}, {_where(run)}, seed {scenario.seed}"
+
+
+def _where(run):
+    """The world and the turns of a run, for a title."""
+    return f"{parts.world_text(run.scenario)}, {parts.turns_text(run.scenario.turns)}"
 
 
 def _fields(drives):
@@ -61,7 +66,7 @@ def _fields(drives):
 def _over(drives):
     """Description of a line and its band, for a title."""
     noise = parts.noise_text(drives[0].scenario.process_noise)
-    return f"{noise}: median, middle 90 % of {_fields(drives)}"
+    return f"{noise}, {_where(drives[0])}: median, middle 90 % of {_fields(drives)}"
 
 
 def _time_axis(axes, log):
@@ -130,7 +135,10 @@ def trajectories_q(runs, table=None):
     time.set(xlim=(0, 1.02 * end_s), ylim=0, xlabel="time [s]  (dots: settling time)")
     time.set_ylabel("true error [m]")
     order = "" if table is None else f"\n{_order(runs, table)}"
-    plane.set(xlabel="$x$ [m]", title=f"First row: {_title(first)}{order}")
+    scenario = first.scenario
+    noise = parts.noise_text(scenario.process_noise)
+    title = f"First row: {noise}, {parts.world_text(scenario)}, seed {scenario.seed}{order}"
+    plane.set(xlabel="$x$ [m]", title=title)
     figure.legend(loc="outside lower center", ncols=3)
     figure.draw_without_rendering()
     plane.set_ylabel(f"$y$ [m], stretched × {_stretch(plane):.0f}")
@@ -191,9 +199,9 @@ def trajectories(pairs):
             pair.
     """
     first = next(iter(pairs.values()))
-    size = dict(figsize=(DOUBLE_IN, 2.2 + 1.15 * len(pairs)))
+    size = dict(figsize=(DOUBLE_IN, 2.6 + 1.1 * len(pairs)))
     figure, (plane, *panels) = plt.subplots(
-        1 + len(pairs), height_ratios=(1.5, *[1] * len(pairs)), **size
+        1 + len(pairs), height_ratios=(2.2, *[1] * len(pairs)), **size
     )
     _on_the_map(figure, plane, first)
     for axes, runs in zip(panels, pairs.values()):
@@ -220,8 +228,10 @@ def _on_the_map(figure, axes, runs):
     parts.note(axes, "start", start, (-5, 0), ha="right")
     low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
     high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
-    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m), title=_title(first))
-    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **_TRACTION_BAR)
+    axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m))
+    axes.set_title(_title(first))
+    beside = dict(location="left", panchor=(0.0, 0.5), extend="min", fraction=0.03, pad=0.02)
+    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **beside)
 
 
 def _beside_the_path(axes, runs):
@@ -242,7 +252,19 @@ def _beside_the_path(axes, runs):
     axes.grid(axis="x", visible=False)
     axes.set(xlim=(0, end_m), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
     axes.set_ylabel("beside the\npath [m]")
-    axes.set_title(f"{_title(first)}: largest distance after settling {', '.join(largest)}")
+    mean_m = lateral_means(runs)
+    means = ", ".join(f"{name} {mean_m[name]:+.3f} m".replace("-", "−") for name in mean_m)
+    noise = parts.noise_text(first.scenario.process_noise)
+    axes.set_title(f"{noise}: mean after settling {means}; farthest {', '.join(largest)}")
+
+
+def lateral_means(runs):
+    """The mean distance of robots to the left of the path [m], once settled, by name."""
+    means = {}
+    for name, run in runs.items():
+        settled = run.log["t_s"] >= run.metrics["settling_time_s"]
+        means[name] = _lateral(run)[settled].mean() if settled.any() else np.nan
+    return means
 
 
 def _lateral(run):
@@ -261,30 +283,62 @@ def _end_of_lap(axes, run):
     if 0 < left_m < run.path.length_m / 2:
         words += f", {left_m:.0f} m of the lap left"
     line = dict(arrowstyle="-", linewidth=0.5, shrinkA=0)
-    parts.note(axes, words, (end["x_m"], end["y_m"]), (8, 18), ha="left", arrowprops=line)
+    parts.note(axes, words, (end["x_m"], end["y_m"]), (10, -14), ha="left", arrowprops=line)
 
 
 @styled
 def errors(pairs):
     """Draw Figure 8: Euclidean errors by raw GNSS of one drive, as in the paper.
 
+    Below each pair of errors is their difference, RHE − EKF, as a mean over a second: below 0 the
+    RHE is nearer to the path.
+
     Args:
-        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain, a panel for each.
+        pairs: {process noise: {"RHE": Run, "EKF": Run}} on the same terrain, a pair of panels each.
     """
-    grid = dict(sharex=True, sharey=True, squeeze=False)
-    figure, panels = plt.subplots(
-        len(pairs), 1, figsize=(DOUBLE_IN, 0.8 + 1.15 * len(pairs)), **grid
-    )
-    for axes, runs in zip(panels[:, 0], pairs.values()):
+    columns = 2 if len(pairs) > 1 else 1
+    rows = -(-len(pairs) // columns)
+    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=(2.2, 1) * rows)
+    size = dict(figsize=(DOUBLE_IN, 0.9 + 1.9 * rows))
+    figure, panels = plt.subplots(2 * rows, columns, **size, **grid)
+    above = panels[::2].ravel()
+    below = panels[1::2].ravel()
+    for axes, difference, runs in zip(above, below, pairs.values()):
         for name in ("EKF", "RHE"):
             _one_error(axes, name, runs[name])
         axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
         means = [f"{name} {runs[name].metrics['mean_error_m']:.4f} m" for name in ("RHE", "EKF")]
-        axes.set(ylabel="error [m]", ylim=(0, _MOST_ERROR_M))
-        axes.set_title(f"{_title(runs['RHE'])}: mean {', '.join(means)}")
-    _time_axis(panels[:, 0], runs["RHE"].log)
+        axes.set_ylim(0, _MOST_ERROR_M)
+        noise = parts.noise_text(runs["RHE"].scenario.process_noise)
+        axes.set_title(f"{noise}: mean {', '.join(means)}")
+        _difference(difference, runs)
+    for axes in (*above[len(pairs) :], *below[len(pairs) :]):
+        axes.set_visible(False)
+    for of_row in panels[::2, 0]:
+        of_row.set_ylabel("error [m]")
+    for of_row in panels[1::2, 0]:
+        of_row.set_ylabel("RHE − EKF\n[m]")
+    first = next(iter(pairs.values()))["RHE"]
+    for column in panels.T:
+        _time_axis(column, first.log)
+    figure.suptitle(f"One drive: {_where(first)}, seed {first.scenario.seed}", fontsize=8)
     parts.legend_outside(figure, panels[0, 0], "lower center", 5)
     return figure
+
+
+def _difference(axes, runs):
+    """Draw by how much the RHE's error is below or above the EKF's, as means over a second."""
+    log = runs["RHE"].log
+    seconds = len(log) // _POOLED
+    t_s = log["t_s"].to_numpy()[: seconds * _POOLED : _POOLED]
+    both = [runs[name].log["error_m"].to_numpy()[: seconds * _POOLED] for name in ("RHE", "EKF")]
+    difference_m = np.nanmean((both[0] - both[1]).reshape(seconds, _POOLED), axis=1)
+    shown_m = np.clip(difference_m, -_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
+    for name, side in (("RHE", shown_m < 0), ("EKF", shown_m > 0)):
+        look = dict(color=COLOURS[name], alpha=0.6, linewidth=0, step="mid")
+        axes.fill_between(t_s, np.where(side, shown_m, 0), label=f"{name} is nearer", **look)
+    axes.axhline(0, color=BLACK, linewidth=0.6)
+    axes.set_ylim(-_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
 
 
 @styled
@@ -298,21 +352,21 @@ def errors_of_many(drives, table):
         table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
     grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1))
-    figure, rows = plt.subplots(2, len(drives), figsize=(DOUBLE_IN, 3.4), **grid)
+    figure, rows = plt.subplots(2, len(drives), figsize=(DOUBLE_IN, 3.8), **grid)
     for panels, (noise, by_name) in zip(rows.T, drives.items()):
         many, share = panels
         for name in ("EKF", "RHE"):
             _many_errors(many, share, name, by_name[name])
         many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        many.set_title(
-            f"{parts.noise_text(noise)}, {len(by_name['RHE'])} fields\n{_means(table, noise)}"
-        )
+        many.set_title(f"{parts.noise_text(noise)}\n{_means(table, by_name['RHE'][0])}")
         _time_axis(panels, by_name["RHE"][0].log)
         share.set_xlabel("time [s]  (shaded: curves)")
     rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
     rows[0, 0].minorticks_off()
     rows[0, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
     rows[1, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
+    first = next(iter(drives.values()))["RHE"]
+    figure.suptitle(f"{_fields(first)}, {_where(first[0])}", fontsize=8)
     parts.legend_outside(figure, rows[0, 0], "lower center", 5)
     return figure
 
@@ -326,6 +380,7 @@ def _one_error(axes, name, run):
     largest_m = error_m[run.log["t_s"] > _START_S].max()
     if largest_m > _MOST_ERROR_M:
         at = dict(xycoords="axes fraction", color=COLOURS[name], ha="right", va="top")
+        at |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
         parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
 
 
@@ -341,50 +396,53 @@ def _many_errors(axes, share, name, drives):
     share.plot(t_s, 100 * beyond, **look)
 
 
-def _means(table, noise):
-    """The mean errors of RHE and EKF by raw GNSS, for a title."""
+def _means(table, run):
+    """The mean errors of RHE and EKF by raw GNSS with the turns and W of a run, for a title."""
     means = table[table["quantity"] == "mean error, raw GNSS [m]"]
-    means = means.set_index(["process_noise", "estimator"]).loc[noise]
-    both = ", ".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
-    return f"means over {means.loc['RHE', 'n']}: {both}"
+    means = means[means["turns"] == run.scenario.turns]
+    means = means.set_index(["process_noise", "estimator"]).loc[run.scenario.process_noise]
+    both = "\n".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
+    return f"means over {means.loc['RHE', 'n']}:\n{both}"
 
 
 @styled
-def violations(table):
-    """Draw Figure 9: samples per drive on straights with more than 0.12 m, by raw GNSS and truth.
+def violations(table, turns="alternate"):
+    """Draw Figure 9: the share of drives without a violation, by raw GNSS.
+
+    A drive has none if no sample on a straight is more than 0.12 m from the path. The paper's RHE
+    has none in "multiple experiments", and its EKF has 17 in one drive. The mean number of
+    violations stands beside each share.
 
     Args:
         table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
+        turns: The pattern of turns that is shown.
     """
-    counts = table[table["quantity"].str.startswith("violations") & table["p5"].notna()]
-    order = ["process_noise", "estimator"]
-    counts = counts.sort_values("estimator", ascending=False, kind="stable")
-    groups = [rows for _, rows in counts.groupby(order, sort=False)]
-    groups.sort(key=lambda rows: list(table["process_noise"].unique()).index(_noise_of(rows)))
-    rows = pd.concat(groups)
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.8 + 0.19 * len(rows)))
-    for place, row in enumerate(rows.itertuples()):
-        parts.interval_row(axes, place, row, COLOURS[row.estimator])
-        if row.paper != "":
-            look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
-            axes.plot(row.paper, place, "D", label="paper: 0 and 17", zorder=4, **look)
-    labels = [
-        f"{parts.noise_text(row.process_noise)}: {row.estimator}, {row.quantity.split(', ')[1]}"
-        for row in rows.itertuples()
-    ]
-    axes.set_xscale("symlog", linthresh=1, linscale=0.4)
-    axes.set_xticks(ticks := [0, 1, 10, 100, 1000], ticks)
-    words = f"violations in a drive [samples], logarithmic above 1, {rows['n'].max()} fields"
+    shown = table[(table["turns"] == turns) & table["estimator"].isin(["RHE", "EKF"])]
+    by_quantity = {
+        name: shown[shown["quantity"] == name].set_index(["process_noise", "estimator"])
+        for name in ("share of drives without a violation", "violations on straights, raw GNSS")
+    }
+    shares, counts = by_quantity.values()
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.22 * len(shares)))
+    place_of = dict(xycoords=("axes fraction", "data"))
+    for place, row in enumerate(shares.itertuples()):
+        colour = COLOURS[row.Index[1]]
+        axes.hlines(place, 100 * row.low, 100 * row.high, linewidth=3, color=colour, alpha=0.6)
+        axes.plot(100 * row.mean, place, "|", color=colour, markersize=7, markeredgewidth=1.2)
+        look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
+        axes.plot(100 * row.paper, place, "D", label="the paper", zorder=4, **look)
+        count = counts.loc[row.Index]
+        text = f"{interval_text(count['mean'], max(count['low'], 0), count['high'])} a drive"
+        parts.note(axes, text, (1, place), (8, 0), **place_of)
+    labels = [f"{parts.noise_text(noise)}: {name}" for noise, name in shares.index]
+    words = f"drives without a violation [%]: share of {shares['n'].max()} fields, 95 % interval"
     parts.rows_axis(axes, labels, words)
-    axes.set_xlim(0, 1200)
+    axes.set_xlim(0, 100)
+    where = f"{parts.turns_text(turns)}; at the right the mean number of violations"
+    axes.set_title(where[0].upper() + where[1:])
     handles, names = axes.get_legend_handles_labels()
-    place = dict(loc="outside lower center", title=_DOT_AND_LINES, title_fontsize=7)
-    figure.legend(handles[:1], names[:1], **place)
+    figure.legend(handles[:1], names[:1], loc="outside lower center")
     return figure
-
-
-def _noise_of(rows):
-    return rows["process_noise"].iloc[0]
 
 
 @styled
@@ -396,15 +454,15 @@ def estimates(drives):
     the frequencies of the same quantities in all drives.
 
     Args:
-        drives: {process noise: drives}, a column for each.
+        drives: {title: drives}, a column for each.
     """
     grid = dict(sharey="row", squeeze=False, width_ratios=(3, 1) * len(drives))
     figure, rows = plt.subplots(3, 2 * len(drives), figsize=(DOUBLE_IN, 4.6), **grid)
     least = _least_mu(drives)
-    for time, beside, (noise, runs) in zip(rows.T[::2], rows.T[1::2], drives.items()):
+    for time, beside, (title, runs) in zip(rows.T[::2], rows.T[1::2], drives.items()):
         _one_estimate(time, runs[0])
         _many_estimates(beside, runs, least)
-        name = f"{parts.noise_text(noise)}, seed {runs[0].scenario.seed}"
+        name = f"{title}, seed {runs[0].scenario.seed}"
         time[0].set_title(f"{name}\n{time[0].get_title('left')}")
         beside[0].set_title(f"{len(runs)} drives", loc="center")
         log = runs[0].log
@@ -529,14 +587,14 @@ def speed(drives):
 @styled
 def yaw_rate(run):
     """Draw Figure 12: the yaw rate commanded by the RHC, its bounds, and the actual one ω."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.0))
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.3))
     t_s, actual, commanded = (run.log[name] for name in ("t_s", "omega_radps", "omega_cmd_radps"))
     axes.plot(t_s, actual, color=COLOURS["truth"], linewidth=0.6, label="actual (tracks)")
     look = dict(color=COLOURS["RHE"], linewidth=0.9)
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
-    parts.legend_above(axes, **_TIGHT)
+    parts.legend_outside(figure, axes, "lower center", 3)
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     title = f"{_title(run)}: actual − reference, RMS {rms:.3f} rad/s"

@@ -7,7 +7,7 @@ from scipy import stats
 from notebooks.plots.parts import log_axis, note
 from notebooks.studies import which_worlds
 from rhec import paper
-from rhec.style import BLACK, BLUE, COLOURS, DOUBLE_IN, GREY, ORANGE, VERMILLION, styled
+from rhec.style import BLACK, BLUE, COLOURS, DOUBLE_IN, GREEN, GREY, ORANGE, VERMILLION, styled
 
 _LABELS = {
     "speed_mps": "speed [m/s]",
@@ -16,7 +16,7 @@ _LABELS = {
     "kappa_slip": r"mean slip in turning, $1 - \kappa$",
     "kappa_variation": r"deviation of $\kappa$ / slip",
     "correlation_length_m": "correlation length [m]",
-    "slip_difference": "left track slips more by",
+    "slip_difference": "turns to the first turn's side",
     "rotation_centre_m": "centre of rotation ahead [m]",
     "bump_diffusion_radpsqrtm": r"yaw from bumps [rad/$\sqrt{\mathrm{m}}$]",
     "rut_length_m": "length of ruts [m]",
@@ -29,6 +29,9 @@ _LABELS = {
     "rows": "rows driven",
     "turn_demand": "turn demand of the headland",
     "start_offset_m": "offset at the start [m]",
+    "sigma_rhe_m": r"RHE: $\sigma_{xy}$ of $W$ [m]",
+    "sigma_rhe_ratio_radpm": r"RHE: $\sigma_\theta / \sigma_{xy}$ [rad/m]",
+    "sigma_rhe_traction": r"RHE: $\sigma_{\mu\kappa}$ of $W$",
     "sigma_ekf_m": r"EKF: $\sigma_{xy}$ of $W$ [m]",
     "sigma_ekf_ratio_radpm": r"EKF: $\sigma_\theta / \sigma_{xy}$ [rad/m]",
 }
@@ -55,9 +58,10 @@ def posterior(worlds, table):
         prior = which_worlds.PRIORS[name]
         space = np.geomspace if prior.logarithmic else np.linspace
         edges = space(prior.least, prior.most, _BINS + 1)
-        counts, _ = np.histogram(worlds[name], edges)
+        values = worlds[name].dropna()
+        counts, _ = np.histogram(values, edges)
         colour = BLUE if row["narrowed"] > _LEARNED else GREY
-        density = counts / len(worlds) * _BINS
+        density = counts / len(values) * _BINS
         axes.stairs(density, edges, fill=True, color=colour, alpha=0.6)
         axes.axhline(1, color=BLACK, linewidth=0.6, linestyle=":")
         axes.axvline(row["median"], color=ORANGE, linewidth=1)
@@ -137,6 +141,71 @@ def predictions(prior, posterior):
     counts.set(xlabel="violations with the RHE", ylabel="violations with the EKF")
     errors.set_title(f"{len(prior)} drives of the prior, {len(posterior)} of the posterior")
     errors.legend(loc="lower right", markerscale=1.5)
+    return figure
+
+
+@styled
+def order(table):
+    """Draw in which share of worlds the RHE is the better, and by how much, by rule and path.
+
+    Args:
+        table: Of `notebooks.studies.order_in_worlds.rule_rows`.
+
+    Returns:
+        A Figure: shares with 95 % intervals, and the median of EKF / RHE with its middle 90 %.
+    """
+    rules = [*table["rule for W"].unique()]
+    looks = dict(zip(table["turns"].unique(), (BLACK, BLUE, ORANGE, VERMILLION, GREEN)))
+    figure, (shares, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.8), sharey=True)
+    for k, (turns, colour) in enumerate(looks.items()):
+        rows = table[table["turns"] == turns]
+        places = np.arange(len(rules)) + 0.15 * (k - 2)
+        look = dict(fmt="o", color=colour, markersize=3, elinewidth=0.8)
+        for axes, value, low, high in (
+            (shares, "RHE better", "low", "high"),
+            (ratios, "EKF / RHE", "EKF / RHE p5", "EKF / RHE p95"),
+        ):
+            middle = rows[value].to_numpy()
+            ends = np.abs(rows[[low, high]].to_numpy().T - middle)
+            label = {"own": "the world's own path"}.get(turns, turns.replace("_", " "))
+            axes.errorbar(middle, places, xerr=ends, label=label, **look)
+    shares.set_yticks(np.arange(len(rules)), rules)
+    shares.set(xlim=(0, 1), ylim=(len(rules) - 0.5, -0.5), xlabel="worlds with the RHE the better")
+    ratios.set(xscale="log", xlim=(0.7, 4), xlabel="error of the EKF / error of the RHE")
+    ratios.set_xticks([0.7, 1, 1.5, 2, 3, 4], ["0.7", "1", "1.5", "2", "3", "4"])
+    ratios.axvline(1, color=BLACK, linewidth=0.6, linestyle=":")
+    shares.axvline(0.5, color=BLACK, linewidth=0.6, linestyle=":")
+    figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    return figure
+
+
+@styled
+def effects(table):
+    """Draw which unknowns decide the sign of RHE - EKF.
+
+    Args:
+        table: Of `notebooks.studies.order_in_worlds.effects`.
+
+    Returns:
+        A Figure: total effects with their 95 % intervals, one panel a rule.
+    """
+    rules = [*table["rule for W"].unique()]
+    names = table.groupby("unknown")["of the sign"].max().sort_values(ascending=False).index
+    size = (DOUBLE_IN, 0.17 * len(names) + 0.8)
+    figure, panels = plt.subplots(1, len(rules), figsize=size, sharey=True)
+    places = np.arange(len(names))
+    for axes, rule in zip(panels, rules):
+        rows = table[table["rule for W"] == rule].set_index("unknown").loc[names]
+        for name, colour, shift in (("sign", BLUE, -0.15), ("ratio", ORANGE, 0.15)):
+            middle = rows[f"of the {name}"].to_numpy()
+            ends = np.abs(rows[[f"{name} low", f"{name} high"]].to_numpy().T - middle)
+            label = {"sign": "of the sign", "ratio": "of ln(EKF / RHE)"}[name]
+            look = dict(fmt="o", color=colour, markersize=2.5, elinewidth=0.7, label=label)
+            axes.errorbar(middle, places + shift, xerr=ends, **look)
+        axes.set(title=rule, xlim=(-0.05, 1.05), ylim=(len(names) - 0.5, -0.5))
+        axes.set_xlabel("total effect")
+    panels[0].set_yticks(places, [_LABELS.get(name, name.replace("_", " ")) for name in names])
+    panels[-1].legend(loc="lower right", fontsize=6)
     return figure
 
 

@@ -1,151 +1,444 @@
-"""Did it reproduce? The answer in words, computed from the tables in data/results.
+"""Did it reproduce? The answer in words and tables, computed from the tables in data/results.
 
-README, the website and notebook 00_start begin with it. Which words it takes follows from the
-tables alone: any of its sentences could come out the other way.
-
-A mean *meets* a number of the paper if it is within a tenth of it. Otherwise the number is
-*possible* if it lies within the middle 90 % of our drives, since the paper's is of one drive. An
-estimator is *lost* if its mean error is above the tolerance of the rows. One rule picks W for both
-estimators, for each its own; R, the weight of the yaw rate in the controller, is the paper's 10.
+README, docs/results.md, the website and notebook 00_start have it. Which words it takes follows
+from the tables alone: any of its sentences could come out the other way. A number, an order and
+"never" are judged by the functions that judge the claims, see `notebooks.studies.statistics`. One
+rule picks W for both estimators, for each its own; R, the weight of the yaw rate in the controller,
+is the paper's 10.
 """
 
 from pathlib import Path
 
 import pandas as pd
 
-from notebooks.claims.summary import DEPARTURE, PRINTED, verdict_counts
-from notebooks.studies.statistics import FAILS, HOLDS, LOST, UNDECIDED, UNTESTABLE
+from notebooks.claims.summary import by_condition, verdict_counts
+from notebooks.studies.statistics import (
+    CONDITIONS,
+    FAILS,
+    HOLDS,
+    LOST,
+    LOST_ITSELF,
+    MET,
+    NOT_MET,
+    POSSIBLE,
+    UNDECIDED,
+    WITHIN,
+    WITHIN_COUNTS,
+    is_lost,
+    verdict_on_never,
+    verdict_on_number,
+    verdict_on_order,
+)
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
 
 RESULTS = Path(__file__).resolve().parents[2] / "data/results"
+LEDGER = "data/results/claims.csv"
 _RULES = {  # {process_noise: the rule that picks W}
     "printed": "as printed",
     "consistent": "consistent",
-    "likelihood": "by likelihood",
+    "prediction": "by prediction",
     "tracking": "by least tracking error",
 }
-_OTHERS = tuple(_RULES)[1:]  # the rules that are ours
+_TURNS = {
+    "alternate": "to alternate sides",
+    "left": "to the left alone",
+    "right": "to the right alone",
+    "figure_of_eight": "of a figure of eight",
+}
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
+_CLEAN = "share of drives without a violation"
 _GAIN = "RHE - EKF"
-_ROWS = [  # label, whose, quantity
-    ("Mean error, RHE [m]", "RHE", _ERROR),
-    ("Mean error, EKF [m]", "EKF", _ERROR),
-    ("The RHE is better: RHE − EKF, mean error [m]", _GAIN, _ERROR),
-    ("Violations of 0.12 m, RHE", "RHE", _VIOLATIONS),
-    ("Violations of 0.12 m, EKF", "EKF", _VIOLATIONS),
-    ("The RHE is better: RHE − EKF, violations", _GAIN, _VIOLATIONS),
-]
-_WEIGHTS = {"Q1": "Q¹", "Q2": "Q²", "Q3": "Q³"}
-_MET = "met"
-_POSSIBLE = "possible"
-_NOT_MET = "not met"
-_LOST = "lost"
+_P = "P(RHE < EKF)"
 _EKF_LOST = "EKF lost"
-_NEAR = 0.1  # a mean is near the paper's number if it is within this share of it
-LEDGER = "data/results/claims.csv"
-_SQUARES = {HOLDS: "🟩", PRINTED: "🟦", DEPARTURE: "🟦", FAILS: "🟥", UNDECIDED: "🟧"}
-_SQUARES |= {LOST: "🟪", UNTESTABLE: "⬜"}
-_SQUARES |= {_MET: "🟩", _POSSIBLE: "🟦", _NOT_MET: "🟥", _LOST: "🟪", _EKF_LOST: "🟪"}
-_PER_SQUARE = 2  # sentences
+_NONE = "–"
+_MM = 1000.0
+# Each word with which a cell of a table begins: the class of verdicts that it belongs to.
+VERDICTS = {
+    HOLDS: HOLDS,
+    MET: HOLDS,
+    POSSIBLE: POSSIBLE,
+    FAILS: FAILS,
+    NOT_MET: FAILS,
+    UNDECIDED: UNDECIDED,
+    LOST_ITSELF: LOST,
+    _EKF_LOST: LOST,
+}
 
 
-# Scenario B: the paper's numbers beside ours
+# Scenario B: numbers and verdicts
 
 
-def _indexed(table):
-    """Scenario B's numbers by (estimator, quantity, process noise)."""
-    return table.set_index(["estimator", "quantity", "process_noise"]).sort_index()
+class Numbers:
+    """Scenario B's table on one pattern of turns; each verdict by the rule of its kind.
+
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
+        turns: The pattern; the table's first one by default.
+    """
+
+    def __init__(self, table, turns=None):
+        self.turns = turns or next(iter(table["turns"]))
+        rows = table[table["turns"] == self.turns]
+        self._rows = rows.set_index(["estimator", "quantity", "process_noise"]).sort_index()
+
+    def row(self, whose, quantity, rule):
+        """The row of an estimator, or of "RHE - EKF", on a quantity under a rule for W."""
+        return self._rows.loc[whose, quantity, rule]
+
+    def number(self, estimator, quantity, rule):
+        """MET, POSSIBLE, NOT_MET or LOST_ITSELF."""
+        row = self.row(estimator, quantity, rule)
+        if is_lost(self.row(estimator, _ERROR, rule)["mean"]):
+            return LOST_ITSELF
+        within = WITHIN_COUNTS if quantity == _VIOLATIONS else WITHIN
+        paper_number = float(row["paper"])
+        return verdict_on_number(
+            row["low"], row["high"], row["p5"], row["p95"], paper_number, within
+        )
+
+    def order(self, quantity, rule):
+        """HOLDS, FAILS, UNDECIDED or LOST, the EKF being the rival."""
+        row = self.row(_GAIN, quantity, rule)
+        return verdict_on_order(row["low"], row["high"], self.row("EKF", _ERROR, rule)["mean"])
+
+    def never(self, rule):
+        """HOLDS, FAILS or UNDECIDED: the RHE violates the tolerance in no drive.
+
+        This counts all drives; claim B7 leaves out those in which the oracle violates it, too.
+        """
+        row = self.row("RHE", _CLEAN, rule)
+        return verdict_on_never(row["low"], row["high"])
 
 
-def _is_lost(numbers, estimator, rule):
-    """Whether a robot with this estimator is, in the mean, beyond the tolerance of the rows."""
-    return numbers.loc[estimator, _ERROR, rule]["mean"] > paper.TOLERANCE_M
+def _patterns(table):
+    """{pattern of turns: Numbers}, the one that the table is about first."""
+    return {turns: Numbers(table, turns) for turns in dict.fromkeys(table["turns"])}
 
 
-def _judged(numbers, whose, quantity, rule):
-    """What one of our numbers says of the paper's: a word."""
-    row = numbers.loc[whose, quantity, rule]
-    if whose == _GAIN:
-        return _EKF_LOST if _is_lost(numbers, "EKF", rule) else row["verdict"]
-    if _is_lost(numbers, whose, rule):
-        return _LOST
-    if abs(row["mean"] - row["paper"]) <= _NEAR * row["paper"]:
-        return _MET
-    return _POSSIBLE if row["p5"] <= row["paper"] <= row["p95"] else _NOT_MET
+# The table of the first screen
 
 
-def paper_beside_ours(folder=RESULTS, judged=True):
-    """Scenario B beside the paper: one row a quantity, one column a rule for W.
+def paper_beside_ours(folder=RESULTS):
+    """Scenario B beside the paper, with a verdict in each cell: a row a quantity, a column a rule.
+
+    The last two rows have the verdict on "benefits from traction parameter estimates" (claim B6),
+    and the share of the posterior's worlds in which the RHE has the smaller error.
 
     Args:
         folder: Folder of the tables.
-        judged: Whether each number has its verdict before it, as "🟩 met: 0.0419".
 
     Returns:
-        DataFrame of texts.
+        DataFrame of texts such as "met: 0.0419".
     """
-    numbers = _indexed(pd.read_csv(folder / "table_scenario_b.csv"))
+    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    n = numbers.row("RHE", _ERROR, "printed")["n"]
+    never = _conditions(folder, "B7")
+    difference_mm = _MM * (paper.MEAN_ERROR_RHE_M - paper.MEAN_ERROR_EKF_M)
+    rows = {
+        "Mean error, RHE [m]": (
+            f"{paper.MEAN_ERROR_RHE_M:g}",
+            lambda rule: _number_cell(numbers, "RHE", _ERROR, rule),
+        ),
+        "Mean error, EKF [m]": (
+            f"{paper.MEAN_ERROR_EKF_M:g}",
+            lambda rule: _number_cell(numbers, "EKF", _ERROR, rule),
+        ),
+        "RHE − EKF [mm]; share of fields with less": (
+            _with_minus(f"{difference_mm:.1f}"),
+            lambda rule: _order_cell(numbers, rule),
+        ),
+        "RHE: drives without a violation": ("all", lambda rule: _never_cell(numbers, never, rule)),
+        "EKF: violations in a drive": (
+            f"{paper.VIOLATIONS_EKF}",
+            lambda rule: _number_cell(numbers, "EKF", _VIOLATIONS, rule),
+        ),
+        "The RHE benefits from its traction estimates": ("yes", _conditions(folder, "B6").get),
+        "Possible worlds where the RHE's error is less": (_NONE, _worlds(folder).get),
+    }
+    head = f"mean of {n} drives, turns {_TURNS[numbers.turns]}"
+    return pd.DataFrame(
+        [
+            {head: label, "the paper": of_paper} | {_head(rule): cell(rule) for rule in _RULES}
+            for label, (of_paper, cell) in rows.items()
+        ]
+    ).fillna(_NONE)
+
+
+def _head(rule):
+    """The head of a rule's column."""
+    return f"W {_RULES[rule]}"
+
+
+def _with_minus(text):
+    """A number's text with a proper minus."""
+    return text.replace("-", "−")
+
+
+def _number_cell(numbers, estimator, quantity, rule):
+    """The verdict on a number that the paper reports, and what it is about.
+
+    That is our mean, but where the number is possible: then the middle 90 % of single drives.
+    """
+    row = numbers.row(estimator, quantity, rule)
+    word = numbers.number(estimator, quantity, rule)
+    text = f"{word}: {three_digits(row['mean'])}"
+    if word == POSSIBLE:
+        text += f" (drives: {three_digits(row['p5'])} to {three_digits(row['p95'])})"
+    return text
+
+
+def _order_cell(numbers, rule):
+    """Which is better, by how much, and in how many fields."""
+    word = numbers.order(_ERROR, rule)
+    if word == LOST:
+        return _EKF_LOST
+    gain_mm = _MM * numbers.row(_GAIN, _ERROR, rule)["mean"]
+    share = numbers.row(_P, _ERROR, rule)["mean"]
+    return f"{word}: {_with_minus(three_digits(gain_mm))}; {_percent(share)}"
+
+
+def _never_cell(numbers, never, rule):
+    """The share of drives without a violation, and the ledger's verdict, which knows the oracle."""
+    share = _percent(numbers.row("RHE", _CLEAN, rule)["mean"])
+    return f"{never[rule]}: {share}" if rule in never else share
+
+
+def _percent(share):
+    return f"{100 * share:.0f} %"
+
+
+def _conditions(folder, claim):
+    """{rule: verdict} of a claim in the ledger."""
+    claims = pd.read_csv(folder / "claims.csv").set_index("id")
+    if claim not in claims.index:
+        return {}
+    verdicts = by_condition(claims.loc[claim, "conditions"])
+    names = CONDITIONS.items()
+    return {rule: verdicts[name] for rule, name in names if name in verdicts}
+
+
+def _worlds(folder):
+    """{rule: share of the posterior's worlds in which the RHE's mean error is the smaller}."""
+    file = folder / "inverse_rules.csv"
+    if not file.exists():
+        return {}
+    rows = pd.read_csv(file)
+    rows = rows[rows["worlds"] == "posterior"].set_index("rule for W")
+    found = {}
+    for rule, name in _RULES.items():
+        of_rule = rows[rows.index.isin([rule, name])]
+        if len(of_rule):
+            row = of_rule.iloc[0]
+            ekf_m = float(str(row["error, EKF [m]"]).split()[0])
+            found[rule] = _EKF_LOST if is_lost(ekf_m) else _share_in_percent(row)
+    return found
+
+
+def _share_in_percent(row):
+    """The text "0.540 [0.468, 0.611]" as "54 % [47, 61]"."""
+    text = str(row["worlds with less error"]).replace("[", "").replace("]", "").replace(",", "")
+    value, low, high = (100 * float(number) for number in text.split())
+    return f"{value:.0f} % [{low:.0f}, {high:.0f}]"
+
+
+# All numbers
+
+
+def scenario_b_numbers(folder=RESULTS):
+    """Scenario B's means with their intervals: a row a quantity, a column a rule for W.
+
+    Args:
+        folder: Folder of the tables.
+
+    Returns:
+        DataFrame of texts such as "0.0419 [0.0417, 0.0422]".
+    """
+    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    labels = {
+        ("RHE", _ERROR): "Mean error, RHE [m]",
+        ("EKF", _ERROR): "Mean error, EKF [m]",
+        (_GAIN, _ERROR): "RHE − EKF, mean error [m]",
+        (_P, _ERROR): "Share of fields where the RHE has less error",
+        ("RHE", _VIOLATIONS): "Violations in a drive, RHE",
+        ("EKF", _VIOLATIONS): "Violations in a drive, EKF",
+        (_GAIN, _VIOLATIONS): "RHE − EKF, violations",
+        ("RHE", _CLEAN): "Share of drives without a violation, RHE",
+        ("EKF", _CLEAN): "Share of drives without a violation, EKF",
+    }
     rows = []
-    for label, whose, quantity in _ROWS:
-        found = {rule: numbers.loc[whose, quantity, rule] for rule in _RULES}
+    for (whose, quantity), label in labels.items():
+        found = {rule: numbers.row(whose, quantity, rule) for rule in _RULES}
         first = found["printed"]
         row = {f"mean of {first['n']} drives [95 % interval]": label}
-        row["the paper"] = f"{first['paper']:g}"
-        for rule, ours in found.items():
-            # Errors and violations are not negative, only their differences are.
-            low = ours["low"] if whose == _GAIN else max(ours["low"], 0)
-            text = interval_text(ours["mean"], low, ours["high"])
-            if judged:
-                word = _judged(numbers, whose, quantity, rule)
-                text = f"{_SQUARES[word]} {word}: {text}"
-            row[f"W {_RULES[rule]}"] = text
+        row["the paper"] = _NONE if pd.isna(first["paper"]) else f"{float(first['paper']):g}"
+        # Errors and counts are not negative, only their differences are.
+        least = -float("inf") if whose == _GAIN else 0.0
+        row |= {_head(rule): _with_interval(ours, least) for rule, ours in found.items()}
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-# The sentences
+def _with_interval(row, least=0.0):
+    return interval_text(row["mean"], max(row["low"], least), row["high"])
+
+
+def by_turns(folder=RESULTS):
+    """Which way the path turns, and what follows: a row a pattern and rule.
+
+    Args:
+        folder: Folder of the tables.
+
+    Returns:
+        DataFrame of texts: the two mean errors, their difference with its verdict, the share of
+        fields in which the RHE has less, and the shares of drives without a violation.
+    """
+    rows = []
+    for turns, numbers in _patterns(pd.read_csv(folder / "table_scenario_b.csv")).items():
+        for rule in _RULES:
+            gain = numbers.row(_GAIN, _ERROR, rule)
+            rows.append(
+                {
+                    "turns": f"{_TURNS[turns]} (n = {gain['n']})",
+                    "W": _RULES[rule],
+                    "RHE [m]": _with_interval(numbers.row("RHE", _ERROR, rule)),
+                    "EKF [m]": _with_interval(numbers.row("EKF", _ERROR, rule)),
+                    "RHE − EKF [mm]": interval_text(*(_MM * gain[["mean", "low", "high"]])),
+                    "RHE is better": _said(numbers.order(_ERROR, rule)),
+                    "in fields": _percent(numbers.row(_P, _ERROR, rule)["mean"]),
+                    "without violation, RHE": _percent(numbers.row("RHE", _CLEAN, rule)["mean"]),
+                    "without violation, EKF": _percent(numbers.row("EKF", _CLEAN, rule)["mean"]),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _said(verdict):
+    return _EKF_LOST if verdict == LOST else verdict
+
+
+# The sentence of the first screen
+
+
+def in_short(table):
+    """Whether Scenario B reproduced, in one sentence.
+
+    *Yes* needs the order in every case of rule and turns, both mean errors as printed, and no
+    violation. *In part* needs one of these, or the order in more than half of the cases.
+
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
+    """
+    patterns = _patterns(table)
+    numbers = next(iter(patterns.values()))
+    words = [
+        _order_of(patterns) == HOLDS,
+        numbers.number("RHE", _ERROR, "printed") == MET,
+        numbers.number("EKF", _ERROR, "printed") == MET,
+        numbers.never("printed") == HOLDS,
+    ]
+    orders = [word == HOLDS for word in _orders(patterns).values()]
+    in_part = any(words) or sum(orders) > len(orders) / 2
+    short = "Yes" if all(words) else "In part" if in_part else "No"
+    parts = [_says_order(patterns), *_says_lost(patterns), _says_error(numbers)]
+    return f"{short}: {'; '.join(parts)}."
+
+
+def _orders(patterns):
+    """{(pattern, rule): verdict} on the order of the mean errors, where the EKF is not lost."""
+    found = {
+        (turns, rule): numbers.order(_ERROR, rule)
+        for turns, numbers in patterns.items()
+        for rule in _RULES
+    }
+    return {case: word for case, word in found.items() if word != LOST}
+
+
+def _order_of(patterns):
+    """The verdict on the order in all cases; LOST if no EKF drives, None if they differ."""
+    words = set(_orders(patterns).values())
+    if not words:
+        return LOST
+    return words.pop() if len(words) == 1 else None
+
+
+def _says_order(patterns):
+    """Whether the RHE is better than the EKF, by each rule and on each pattern of turns."""
+    orders = _orders(patterns)
+    rules = "by every rule for W with which the EKF can drive"
+    if len(patterns) > 1:
+        rules += ", whichever way the path turns"
+    same = {
+        HOLDS: f"the RHE is better than the EKF {rules}",
+        FAILS: f"the RHE is worse than the EKF {rules}",
+        UNDECIDED: f"which is better, RHE or EKF, is undecided {rules}",
+        LOST: "which is better cannot be judged, since the EKF is lost by every rule for W",
+    }
+    order = _order_of(patterns)
+    if order in same:
+        return same[order]
+    better = sum(word == HOLDS for word in orders.values())
+    others = [
+        f"{_RULES[rule]} with turns {_TURNS[turns]}"
+        for (turns, rule), word in orders.items()
+        if word != HOLDS
+    ]
+    text = f"the RHE is better than the EKF in {better} of {len(orders)} cases of rule and turns"
+    return f"{text}, not {_listed(others)}" if len(others) <= _FEW else text
+
+
+_FEW = 3  # exceptions that a sentence may list
+
+
+def _says_lost(patterns):
+    """The rules by which the EKF is lost on every pattern of turns; nothing if there is none."""
+    lost = [
+        _RULES[rule]
+        for rule in _RULES
+        if all(numbers.order(_ERROR, rule) == LOST for numbers in patterns.values())
+    ]
+    return [f"with W {_listed(lost)} the EKF is lost"] if 0 < len(lost) < len(_RULES) else []
+
+
+def _says_error(numbers):
+    """Whether the RHE as printed has the paper's mean error."""
+    row = numbers.row("RHE", _ERROR, "printed")
+    ours = f"{row['mean']:.4f} for {float(row['paper']):.4f} m"
+    than = "smaller" if row["mean"] < float(row["paper"]) else "larger"
+    said = {
+        MET: f"is that of the paper ({ours})",
+        POSSIBLE: f"is {than} than the paper's, which is possible for one drive ({ours})",
+        NOT_MET: f"is {than} than the paper's ({ours})",
+        LOST_ITSELF: f"is that of a robot which is lost ({ours})",
+        UNDECIDED: f"cannot be judged ({ours})",
+    }
+    of_rhe = said[numbers.number("RHE", _ERROR, "printed")]
+    return f"the RHE's mean error with W as printed {of_rhe}"
+
+
+# One sentence of the paper after the other
 
 
 def in_words(folder=RESULTS):
-    """The answer as Markdown: one line for each question that a reader has.
+    """What Scenarios A and B say of the paper's sentences, as Markdown, one line for each.
 
     Args:
         folder: Folder of the tables.
     """
     table = pd.read_csv(folder / "table_scenario_b.csv")
-    weights = pd.read_csv(folder / "table_scenario_a.csv")
-    lines = [
-        f"**{in_short(table)}**\n",
-        scenario_b_in_words(table),
-        scenario_a_in_words(weights),
-        _line("Does a step fit into the sample at 5 Hz?", _says_times(folder)),
-    ]
-    return "\n".join(lines)
+    told = "B6 B7 A1 A2 A10 A9".split()
+    return f"{scenario_b_in_words(table)}\n{_says_ledger(folder, told)}"
 
 
-def in_short(table):
-    """Whether Scenario B reproduced, in one line.
+def first_screen(folder=RESULTS):
+    """The answer in one sentence and one table, as Markdown.
 
     Args:
-        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
+        folder: Folder of the tables.
     """
-    numbers = _indexed(table)
-    has_error = _has_the_papers_error(numbers)
-    order = _order(numbers)
-    short = "In part"
-    if has_error and order == HOLDS:
-        short = "Yes"
-    elif not has_error and order == FAILS:
-        short = "No"
-    is_that = "is" if has_error else "is not"
-    which = {
-        HOLDS: "The RHE is better than the EKF by every rule that picks W.",
-        FAILS: "The RHE is better than the EKF by no rule that picks W.",
-        _EKF_LOST: "Whether the RHE is better cannot be judged: the EKF is lost by every rule.",
-    }.get(order, "Whether the RHE is better than the EKF depends on the rule that picks W.")
-    return f"{short}. With W as printed the RHE's mean error {is_that} that of the paper. {which}"
+    table = pd.read_csv(folder / "table_scenario_b.csv")
+    return f"**{in_short(table)}**\n\n{to_markdown(paper_beside_ours(folder))}"
 
 
 def scenario_b_in_words(table):
@@ -154,190 +447,156 @@ def scenario_b_in_words(table):
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
     """
-    numbers = _indexed(table)
+    patterns = _patterns(table)
+    numbers = next(iter(patterns.values()))
+    order = _says_order(patterns)
     said = {
-        "Is the RHE's mean error that of the paper?": _says_rhe(numbers),
-        "Does the RHE keep the tolerance, as in the paper?": _says_violations(numbers),
-        "Is the EKF's mean error that of the paper?": _says_ekf(numbers),
-        "Is the RHE better than the EKF?": _says_order(numbers),
-        "What decides which is better?": _says_cause(numbers),
+        "“The mean values of the Euclidian error … are 0.0423 m and 0.0514 m.”": (
+            f"{_by_rule(_says_number(numbers, 'RHE', _ERROR, ' m'), 'RHE')} "
+            f"{_by_rule(_says_number(numbers, 'EKF', _ERROR, ' m'), 'EKF')}"
+        ),
+        "“Less error compared to the RHC based on the EKF.”": (
+            f"{order[0].upper()}{order[1:]}. {_says_pairs(numbers)}"
+        ),
+        "“Does not violate this error constraint.”": (
+            f"Drives without a violation: {_by_rule(_says_clean(numbers), 'RHE')} Claim B7 judges "
+            "them by what is possible for a robot that knows its pose and soil."
+        ),
+        "“The RHC based on the EKF violates it 17 times.”": _by_rule(
+            _says_number(numbers, "EKF", _VIOLATIONS, ""), "EKF"
+        ),
+        "The RHE violates it less often.": _by_rule(
+            {
+                rule: _said(numbers.order(_VIOLATIONS, rule))
+                + f" ({_with_minus(_with_interval_of_gain(numbers, rule))})"
+                for rule in _RULES
+            },
+            "RHE − EKF",
+        ),
     }
-    return "\n".join(_line(question, answer) for question, answer in said.items())
+    return "\n".join(f"- **{sentence}** {answer}" for sentence, answer in said.items())
+
+
+def _with_interval_of_gain(numbers, rule):
+    return _with_interval(numbers.row(_GAIN, _VIOLATIONS, rule), -float("inf"))
+
+
+def _by_rule(words, whose):
+    """{rule: words} as a sentence."""
+    return f"{whose}: {', '.join(f'{_RULES[rule]} {word}' for rule, word in words.items())}."
+
+
+def _says_number(numbers, estimator, quantity, unit):
+    """{rule: verdict and mean}."""
+    return {
+        rule: f"{numbers.number(estimator, quantity, rule)} "
+        f"({three_digits(numbers.row(estimator, quantity, rule)['mean'])}{unit})"
+        for rule in _RULES
+    }
+
+
+def _says_clean(numbers):
+    """{rule: share of drives without a violation}."""
+    return {rule: _percent(numbers.row("RHE", _CLEAN, rule)["mean"]) for rule in _RULES}
+
+
+def _says_pairs(numbers):
+    """Both mean errors by each rule, with turns as the table has them first."""
+    pairs = [
+        f"{_RULES[rule]} {_EKF_LOST}"
+        if numbers.order(_ERROR, rule) == LOST
+        else f"{_RULES[rule]} "
+        + " against ".join(
+            f"{numbers.row(name, _ERROR, rule)['mean']:.4f}" for name in ("RHE", "EKF")
+        )
+        + " m"
+        for rule in _RULES
+    ]
+    gap_m = paper.MEAN_ERROR_EKF_M - paper.MEAN_ERROR_RHE_M
+    return (
+        f"Turns {_TURNS[numbers.turns]}, RHE against EKF: {', '.join(pairs)}; in the paper it is "
+        f"better by {gap_m:.4f} m."
+    )
 
 
 def scenario_a_in_words(table):
-    """What Scenario A's table says, as Markdown.
+    """What Scenario A's table says of the weight of the yaw, as Markdown.
+
+    The paper's own sentences on it are judged in the ledger, see `_says_ledger`.
 
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_a_table`.
     """
-    return _line("Do the controller's weights do what the paper says?", _says_weights(table))
-
-
-def _line(question, answer):
-    short, why = answer
-    return f"- **{question} {short}** {why}"
-
-
-def _yes_or_no(is_so):
-    return "yes" if is_so else "no"
-
-
-def _said_of(verdict):
-    """A verdict as the answer to a question."""
-    return {HOLDS: "yes", FAILS: "no"}.get(verdict, verdict)
-
-
-def _has_the_papers_error(numbers):
-    """Whether the mean error of the RHE as printed is near the paper's."""
-    row = numbers.loc["RHE", _ERROR, "printed"]
-    return abs(row["mean"] / row["paper"] - 1) <= _NEAR
-
-
-def _says_rhe(numbers):
-    """Whether the RHE as printed has the paper's error, in the mean and as one drive of many."""
-    row = numbers.loc["RHE", _ERROR, "printed"]
-    off = f"{100 * (row['mean'] / row['paper'] - 1):+.1f} %".replace("-", "−")
-    within = "within" if row["p5"] <= row["paper"] <= row["p95"] else "not within"
-    why = (
-        f"With W as printed it is {row['mean']:.4f} m ({off}), the mean of {row['n']} drives. The "
-        f"paper's one drive has {row['paper']:.4f} m, {within} the {row['p5']:.4f} to "
-        f"{row['p95']:.4f} m of 90 % of ours."
+    table = table.set_index(["weight", "quantity"])
+    slow = table.loc[("Q1 / Q3", "settling time, ratio")]
+    swings = table.loc[("Q2 / Q3", "overshoot, ratio")]
+    errors = _listed(
+        f"{table.loc[(name, 'mean error, true [m]'), 'mean']:.3f} m ({sign})"
+        for name, sign in {"Q1": "Q¹", "Q2": "Q²", "Q3": "Q³"}.items()
     )
-    return f"{_yes_or_no(_has_the_papers_error(numbers)).capitalize()}.", why
-
-
-def _says_violations(numbers):
-    """Whether the RHE as printed has as few violations as in the paper."""
-    short = {_MET: "Yes.", _POSSIBLE: "In some drives."}
-    word = _judged(numbers, "RHE", _VIOLATIONS, "printed")
-    means = {rule: three_digits(numbers.loc["RHE", _VIOLATIONS, rule]["mean"]) for rule in _RULES}
-    why = (
-        f"The paper counts {paper.VIOLATIONS_RHE} violations in its drive. Ours have "
-        f"{means['printed']} in the mean with W as printed, and "
-        f"{_listed(f'{means[rule]} ({_RULES[rule]})' for rule in _OTHERS)} by the other rules."
+    return (
+        f"- **Q¹ is slow.** It takes {three_digits(slow['mean'])} times as long as Q³ to settle "
+        f"({slow['n']} fields); that it is at least twice as long {slow['verdict']}.\n"
+        f"- **Q² overshoots.** It does so {three_digits(swings['mean'])} times as far as Q³; that "
+        f"it is at least twice as far {swings['verdict']}.\n"
+        f"- **The mean errors**, by the true position after settling, are {errors}."
     )
-    return short.get(word, "No."), why
 
 
-def _says_ekf(numbers):
-    """Whether the EKF has the paper's error, by each rule."""
-    words = {rule: _judged(numbers, "EKF", _ERROR, rule) for rule in _RULES}
-    means = {rule: three_digits(numbers.loc["EKF", _ERROR, rule]["mean"]) for rule in _RULES}
-    short = f"As printed: {words['printed']}."
-    why = f"The paper has {paper.MEAN_ERROR_EKF_M:.4f} m. With W as printed it is "
-    if words["printed"] == _LOST:
-        short = "Not as printed."
-        why += (
-            f"{means['printed']} m: the EKF loses its heading here, so we could not repeat the "
-            "paper's drive with that W."
-        )
-    else:
-        why += f"{means['printed']} m."
-    words = {rule: _NOT_MET if word == _LOST else word for rule, word in words.items()}
-    others = _listed(f"{words[rule]} ({_RULES[rule]}, {means[rule]} m)" for rule in _OTHERS)
-    return short, f"{why} By the other rules the paper's number is {others}."
+def _says_ledger(folder, ids):
+    """What the ledger says of sentences of the paper, one line each, as Markdown."""
+    claims = pd.read_csv(folder / "claims.csv").set_index("id")
+    lines = []
+    for id_ in ids:
+        if id_ in claims.index:
+            row = claims.loc[id_]
+            number = interval_text(row["value"], row["low"], row["high"])
+            lines.append(f"- **{row['claim']}** ({id_}): {row['verdict']}; {number} {row['unit']}.")
+    return "\n".join(lines)
 
 
 def _listed(texts):
     """Texts as "a, b and c"."""
     *others, last = texts
-    return f"{', '.join(others)} and {last}"
+    return f"{', '.join(others)} and {last}" if others else last
 
 
-def _order(numbers):
-    """Whether the RHE has the smaller mean error, by the rules with which the EKF is not lost.
+# The ledger
 
-    The verdict by all of them, or None if they differ; _EKF_LOST if it is lost by every rule.
-    """
-    every = {_judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
-    words = every - {_EKF_LOST} or every
-    return words.pop() if len(words) == 1 else None
+_SENTENCES = "B3 B4 B5 B6 B7 B9 B10 B16 S4 A1 A2 A10 A9 T7".split()
 
 
-def _says_order(numbers):
-    """The order of the mean errors by each rule that picks W for both."""
-    short = {
-        HOLDS: "Yes, by every rule that picks W.",
-        FAILS: "No, by no rule that picks W.",
-        _EKF_LOST: "This cannot be judged.",
-    }
-    words = {rule: _judged(numbers, _GAIN, _ERROR, rule) for rule in _RULES}
-    said = "; ".join(
-        f"{_RULES[rule]}: {_said_of(word)}{_pair(numbers, rule)}" for rule, word in words.items()
-    )
-    gap = paper.MEAN_ERROR_EKF_M - paper.MEAN_ERROR_RHE_M
-    why = f"{said[0].upper()}{said[1:]}. In the paper it is better by {gap:.4f} m."
-    return short.get(_order(numbers), "It depends on the rule that picks W."), why
-
-
-def _pair(numbers, rule):
-    """Both mean errors by a rule, unless one is lost."""
-    if _is_lost(numbers, "EKF", rule):
-        return ""
-    rhe, ekf = (numbers.loc[name, _ERROR, rule]["mean"] for name in ("RHE", "EKF"))
-    return f" ({rhe:.4f} against {ekf:.4f} m)"
-
-
-def _says_cause(numbers):
-    """Whether an EKF that knows of no slip does as well as the RHE once its W fits."""
-    others = [rule for rule in _RULES if rule != "tracking"]
-    best_rule = min(others, key=lambda rule: numbers.loc["RHE", _ERROR, rule]["mean"])
-    best = numbers.loc["RHE", _ERROR, best_rule]["mean"]
-    rhe, ekf = (numbers.loc[name, _ERROR, "tracking"]["mean"] for name in ("RHE", "EKF"))
-    short = "Perhaps the traction."
-    if ekf < best:
-        short = "W, more than the traction."
-    why = (
-        f"With the W of least tracking error and the same controller, an EKF that knows of no slip "
-        f"has {ekf:.4f} m, and the RHE, which estimates the traction, {rhe:.4f} m. By the three "
-        f"other rules the RHE has at best {best:.4f} m ({_RULES[best_rule]})."
-    )
-    return short, why
-
-
-def _says_weights(table):
-    """Scenario A in the paper's words: Q¹ slow, Q² overshoots, Q³ the best of the three."""
-    table = table.set_index(["weight", "quantity"])
-    slow = table.loc[("Q1 / Q3", "settling time, ratio")]
-    swings = table.loc[("Q2 / Q3", "overshoot, ratio")]
-    means = {name: table.loc[(name, "mean error, true [m]"), "mean"] for name in _WEIGHTS}
-    best = min(means, key=means.get)
-    short = (
-        f"Q¹ is slow: {_said_of(slow['verdict'])}. Q² overshoots: "
-        f"{_said_of(swings['verdict'])}. Q³ is the best of the three: "
-        f"{_yes_or_no(best == 'Q3')}."
-    )
-    errors = _listed(f"{mean:.3f} m ({_WEIGHTS[name]})" for name, mean in means.items())
-    why = (
-        f"On {slow['n']} fields Q¹ takes {three_digits(slow['mean'])} times as long as Q³ to "
-        f"settle, and Q² overshoots {three_digits(swings['mean'])} times as far as Q³. The mean "
-        f"errors are {errors}."
-    )
-    return short, why
-
-
-def _says_times(folder):
-    """What the ledger says of the paper's times."""
-    verdicts = pd.read_csv(folder / "claims.csv").set_index("id")["verdict"]
-    short = f"{_said_of(verdicts['T7']).capitalize()}."
-    why = f"The paper's {paper.STEP_MEAN_MS} ms a step on a Raspberry Pi 3: {verdicts['T1']}."
-    return short, why
-
-
-def bar(folder=RESULTS, link=LEDGER):
-    """How many of the paper's sentences have each verdict: a bar of links, in Markdown.
+def sentences(folder=RESULTS):
+    """What the ledger says of the sentences that the answer is about, with every condition.
 
     Args:
         folder: Folder of the tables.
-        link: Where the parts of the bar lead, or None.
+
+    Returns:
+        DataFrame of texts.
+    """
+    claims = pd.read_csv(folder / "claims.csv").set_index("id")
+    texts = claims[["claim", "verdict", "conditions"]]
+    shown = texts[claims.index.isin(_SENTENCES)].fillna("")
+    return pd.DataFrame(
+        {
+            "id": shown.index,
+            "the paper": shown["claim"],
+            "verdict": shown["verdict"],
+            "by condition": shown["conditions"].str.removeprefix(": "),
+        }
+    )
+
+
+def bar(folder=RESULTS, link=LEDGER):
+    """How many of the paper's sentences have each verdict, in words, as Markdown.
+
+    Args:
+        folder: Folder of the tables.
+        link: Where the parts lead, or None.
     """
     counts = verdict_counts(pd.read_csv(folder / "claims.csv"))["claims"]
-    parts = [
-        f"{_SQUARES[verdict] * -(-count // _PER_SQUARE)} {verdict}: {count}"
-        for verdict, count in counts.items()
-        if count
-    ]
+    parts = [f"{verdict}: {count}" for verdict, count in counts.items() if count]
     if link:
         parts = [f"[{part}]({link})" for part in parts]
     return f"Of the {counts.sum()} sentences of the paper that were judged: {' · '.join(parts)}"

@@ -1,64 +1,109 @@
-"""Process noise W from training seeds, never from the paper's results: by likelihood (G1, G2), by
-consistency and by tracking, each for RHE and EKF alike. Seeds below 1000 are never used.
+"""The tuned noises of all estimators, `rhec/tracked_robot/tuned.csv`, each by a rule (G1, G2).
 
-All estimators are tuned by the same rules, in the default world and with the arrival mean that
-ACADO's code has: the same bounds on a standard deviation per sample, and for each rule the same
-search.
+Training seeds alone are used, 1000 and up, never the paper's results and never a seed below 1000.
+All estimators are tuned alike: in the default world, with the arrival mean that ACADO's code has,
+on the same seeds, with the same bounds on a standard deviation per sample, and with as many
+evaluations for each unknown. Each rule sets W and V, as far as the estimator uses them.
 
-By likelihood. 1. Drive the default scenario on the training seeds with the true state in the loop,
-so that the data do not depend on any estimator. 2. Run an estimator over the recorded measurements;
-its deviance is -2 log likelihood of each measurement given all before it. 3. Choose the standard
-deviations behind W that minimise the deviance summed over all training runs (`search`).
+- "prediction" foresees the measurements best. The robot drives the training seeds with the true
+  state in the loop, so that the data do not depend on any estimator. An estimator runs over what
+  was measured; its deviance is -2 log likelihood of each measurement given all before it, summed
+  (`rhec.core.estimator.kalman.update`). This needs no truth. Of a window with bounds it is a sum of
+  one-step predictive scores, not a likelihood of one model.
+- "consistent" has errors as large as the estimator says, on the same drives, and looks at nothing
+  else (`notebooks.further.consistency.departure`).
+- "tracking" drives best: the robot drives the training seeds by the estimator, with the paper's
+  weights, and the mean true error is the least. That W need not give the best estimates.
+- "soft_soil" is as "prediction" on SOFT_SOIL, for recorded robots.
 
-By consistency. W minimises the mean true error among those whose covariance is as large as the
-errors (`notebooks/further/consistency.py`).
+    python -m notebooks.studies.calibration                             makes the whole table
+    python -m notebooks.studies.calibration rhe ekf --rules prediction  makes these rows again
 
-By tracking. The robot drives the training seeds by the estimator, and W minimises the mean true
-error. That W need not give the best estimates; it gives those that this controller drives best.
-
-The last two objectives have many minima, of which differential evolution (`evolve`) finds a good
-one. They see the RHE's errors, so they also set its σ_ω, through which noise of the yaw enters the
-window; it is one more unknown after those of W.
-
-    python -m notebooks.studies.calibration    repeats likelihood and tracking (half an hour)
+Rows are written as they are found, so what was interrupted goes on with the rows that are left.
 """
 
+import argparse
 import contextlib
+import csv
+import functools
+import itertools
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import NamedTuple
 
 import numpy as np
 
+from notebooks.further import consistency
+from notebooks.rivals import RIVALS, noises
 from rhec import paper
 from rhec.core.lanes import lanes
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.closed_loop import build_sample, set_up
-from rhec.simulation.offline import run_estimator
+from rhec.simulation.offline import run_estimator_on_all
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
+from rhec.tracked_robot import tuning
 
-TRAINING_SEEDS = range(1000, 1010)
-_TRACKING_SEEDS = range(1000, 1024)
+TRAINING_SEEDS = range(1000, 1024)
 # Bounds on a standard deviation per sample; less than 1 mm, 1 mrad or 1 mm/s has no effect.
 LEAST = 1e-3
-MOST = 10.0
-_FIRST = 0.01  # where each search begins
+MOST = 1.0
+_FIRST = 0.01  # where `search` begins by itself
 EVALUATIONS = 40  # of `search`, for each unknown
-_MEMBERS = 6  # of `evolve`, for each unknown
-_GENERATIONS = 20
-# The places in sigma_w that each unknown sets.
-_POSE = [(0, 1), (2,), (3,)]
-_SOIL = [(4,), (5,)]
-UNKNOWNS = dict.fromkeys(("rhe", "augmented_ekf", "bounded_ekf"), _POSE + _SOIL)
-_NOT_ESTIMATED = "ekf", "rhe_no_slip", "rhe_fixed_traction", "fixed_traction", "traction_oracle"
-UNKNOWNS |= dict.fromkeys((*_NOT_ESTIMATED, "drift_oracle"), _POSE)
-UNKNOWNS["yaw_drift_ekf"] = _POSE + _SOIL + [(6,)]
-# Of the rules that look at errors: W, and in place 6 the RHE's σ_ω.
-OF_ERRORS = dict(rhe=_POSE + _SOIL + [(6,)], ekf=_POSE, bounded_ekf=_POSE + _SOIL)
-_MOST_BY_TRACKING = 1.0
+_MEMBERS = 5  # of differential evolution, for each unknown
+_GENERATIONS = 12
+_DIVERGED = 1e12  # an objective that is no number
+# The search works on one vector, sigma = (*sigma_v, *sigma_w); an unknown sets some places of it.
+_N_V = len(paper.SIGMA_V)
+_FILTER = [(0, 1), (2,), (4, 5), (6,), (7,)]  # V of positions and speed, W of pose and speed
+_WINDOW = [*_FILTER, (3,)]  # V of the yaw rate, too, which a filter takes as exact
+_TRACTION = [(8,), (9,)]  # W
+_YAW_DRIFT = [(10,)]  # W
 # Soil that slips as much as that under recorded robots, the same below both tracks, and noise that
 # is white: what the models assume.
 SOFT_SOIL = dict(mu_mean=0.9, mu_deviation=0.04, kappa_mean=0.8, kappa_deviation=0.08)
 SOFT_SOIL |= dict(soil_under="centre", slip_difference=0.0, gnss_sigma_m=0.03, gnss_slow_share=0.0)
 SOFT_SOIL |= dict(bump_sigma_radps=0.02, rut_length_m=0.0)
+
+
+class Tuned(NamedTuple):
+    """What is tuned under a name of tuned.csv.
+
+    Attributes:
+        fields: The fields of Scenario that make it.
+        unknowns: For each unknown the places that it sets in (*sigma_v, *sigma_w).
+        rules: Those by which it is tuned.
+    """
+
+    fields: dict
+    unknowns: list
+    rules: tuple = ("prediction",)
+
+
+_ALL = "consistent", "prediction", "tracking", "soft_soil"
+ESTIMATORS = {
+    "rhe": Tuned(dict(estimator="rhe"), _WINDOW + _TRACTION, _ALL),
+    "rhe_yaw_drift": Tuned(
+        dict(estimator="rhe", yaw_drift=True), _WINDOW + _TRACTION + _YAW_DRIFT, _ALL
+    ),
+    # Without the traction the yaw drift follows the speed.
+    "rhe_no_slip_yaw_drift": Tuned(
+        dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), [*_WINDOW, (8,)]
+    ),
+    "rhe_fixed_traction": Tuned(dict(estimator=RIVALS["rhe_fixed_traction"]), _WINDOW),
+    "rhe_no_slip": Tuned(dict(estimator=RIVALS["rhe_no_slip"]), _WINDOW),
+    "ekf": Tuned(dict(estimator="ekf"), _FILTER, _ALL),
+    "augmented_ekf": Tuned(
+        dict(estimator=RIVALS["augmented_ekf"]), _FILTER + _TRACTION, ("prediction", "soft_soil")
+    ),
+    "bounded_ekf": Tuned(dict(estimator="bounded_ekf"), _FILTER + _TRACTION, _ALL[:3]),
+    "fixed_traction": Tuned(dict(estimator=RIVALS["fixed_traction"]), _FILTER),
+    "traction_oracle": Tuned(dict(estimator=RIVALS["traction_oracle"]), _FILTER),
+    "drift_oracle": Tuned(dict(estimator=RIVALS["drift_oracle"]), _FILTER),
+    "yaw_drift_ekf": Tuned(
+        dict(estimator=RIVALS["yaw_drift_ekf"]), _FILTER + _TRACTION + _YAW_DRIFT
+    ),
+}
 
 
 def oracle_runs(seeds, duration_s=240.0, **world):
@@ -68,46 +113,142 @@ def oracle_runs(seeds, duration_s=240.0, **world):
 
 
 def deviance(estimator, sigma_w, runs, **fields):
-    """-2 log likelihood of the measurements of Runs under a process noise.
+    """-2 log likelihood of the measurements of Runs under a process noise, up to a constant.
 
     `fields` are other settings of the estimator, fields of Scenario.
     """
     scenario = Scenario(estimator=estimator, sigma_w=tuple(map(float, sigma_w)), **fields)
-    return sum(run_estimator(scenario, run, "deviance")["deviance"].sum() for run in runs)
+    every = run_estimator_on_all(scenario, runs, "deviance")
+    return sum(of_run["deviance"].sum() for of_run in every)
 
 
-def search(objective, unknowns):
+def tracking_error_m(seeds=TRAINING_SEEDS, **fields):
+    """Mean true error [m] over these seeds of a Scenario with these fields."""
+    scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
+    # One structure is driven hundreds of times, which pays for compiling its lanes.
+    lanes.load(build_sample, *set_up(scenarios[0]).structure)
+    return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
+
+
+# The rules. Each makes, for the fields of an estimator, the function of its noise to be minimised.
+
+
+def by_prediction(fields, **world):
+    """The rule "prediction": -2 log likelihood of what was measured on training seeds."""
+    runs = oracle_runs(TRAINING_SEEDS, **world)
+    return lambda **noise: deviance(runs=runs, **fields, **noise)
+
+
+def by_consistency(fields):
+    """The rule "consistent": the departure from consistency on training seeds."""
+    runs = oracle_runs(TRAINING_SEEDS)
+    return lambda **noise: consistency.departure(Scenario(**fields, **noise), runs)
+
+
+def by_tracking(fields):
+    """The rule "tracking": the mean true error of drives by the estimator [m]."""
+    return lambda **noise: tracking_error_m(**fields, **noise)
+
+
+RULES = {
+    "consistent": by_consistency,
+    "prediction": by_prediction,
+    "tracking": by_tracking,
+    "soft_soil": functools.partial(by_prediction, **SOFT_SOIL),
+}
+
+
+def calibrate(estimator, rule="prediction", **world):
+    """The noise of an estimator by a rule: a row of tuned.csv.
+
+    Args:
+        estimator: A name in ESTIMATORS.
+        rule: A name in RULES.
+        world: Fields of Scenario other than the default world's, for the rule "prediction".
+
+    Returns:
+        A dict with the COLUMNS of tuned.csv; sigma_w and sigma_v are tuples.
+    """
+    tuned = ESTIMATORS[estimator]
+    objective = RULES[rule](tuned.fields, **world)
+    unused = {*range(_N_V)} - {place for places in tuned.unknowns for place in places}
+
+    def noise_of(sigma):
+        """sigma_w and sigma_v of a vector, to three digits; the paper's where none is used."""
+        digits = [float(f"{value:.3g}") for value in sigma]
+        for place in unused:
+            digits[place] = paper.SIGMA_V[place]
+        return dict(sigma_w=tuple(digits[_N_V:]), sigma_v=tuple(digits[:_N_V]))
+
+    tried = []
+
+    def evaluate(sigma):
+        value = objective(**noise_of(sigma))
+        tried.append((value if np.isfinite(value) else _DIVERGED, sigma))
+        return tried[-1][0]
+
+    search(evaluate, tuned.unknowns, evolve(evaluate, tuned.unknowns))
+    least, best = min(tried)
+    row = dict(estimator=estimator, process_noise=rule) | noise_of(best)
+    seeds = f"{TRAINING_SEEDS[0]}-{TRAINING_SEEDS[-1]}"
+    return row | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
+
+
+def evolve(objective, unknowns):
+    """Find standard deviations with a low objective among many minima: sigma.
+
+    Args:
+        objective: Function of sigma, a tuple.
+        unknowns: For each unknown the places in sigma that it sets; other places are LEAST.
+    """
+    from scipy.optimize import differential_evolution  # few ever search, and it takes 0.2 s to load
+
+    found = differential_evolution(
+        lambda logarithms: objective(_sigma_of(logarithms, unknowns)),
+        [np.log((LEAST, MOST))] * len(unknowns),
+        strategy="rand1bin",  # those about the best one often stay in a shallow minimum
+        popsize=_MEMBERS,
+        maxiter=_GENERATIONS,
+        tol=0,  # so that it takes all its evaluations
+        seed=0,
+        polish=False,
+    )
+    return _sigma_of(found.x, unknowns)
+
+
+def search(objective, unknowns, first=None, most=MOST):
     """Find the standard deviations that minimise an objective, with EVALUATIONS a unknown.
 
     Args:
-        objective: Function of sigma_w, a tuple.
-        unknowns: For each unknown, the places in sigma_w that it sets; other places are LEAST.
+        objective, unknowns: As for `evolve`.
+        first: The sigma from where it begins; None: all are _FIRST.
+        most: Upper bound on a standard deviation.
 
     Returns:
-        The best sigma_w that was tried, to two digits, and its objective.
+        The best sigma that was tried.
     """
-    from scipy.optimize import minimize  # a fifth of a second to load, and few ever search
+    from scipy.optimize import minimize  # as above
 
     tried = {}
 
     def evaluate(logarithms):
         if len(tried) == EVALUATIONS * len(unknowns):
             raise _Exhausted
-        sigma_w = _sigma_of(logarithms, unknowns)
-        tried[sigma_w] = objective(sigma_w)
-        return tried[sigma_w]
+        sigma = _sigma_of(logarithms, unknowns)
+        tried[sigma] = objective(sigma)
+        return tried[sigma]
 
+    starts = [_FIRST if first is None else first[places[0]] for places in unknowns]
     # Powell's own limit counts whole lines only; the exception stops at the exact number.
     with contextlib.suppress(_Exhausted):
         minimize(
             evaluate,
-            np.full(len(unknowns), np.log(_FIRST)),
+            np.log(starts),
             method="Powell",
-            bounds=[np.log((LEAST, MOST))] * len(unknowns),
+            bounds=[np.log((LEAST, most))] * len(unknowns),
             options=dict(xtol=0.01, ftol=1e-6),
         )
-    best = min(tried, key=tried.get)
-    return tuple(float(f"{value:.2g}") for value in best), tried[best]
+    return min(tried, key=tried.get)
 
 
 def _sigma_of(logarithms, unknowns):
@@ -118,70 +259,67 @@ def _sigma_of(logarithms, unknowns):
     return tuple(sigma.tolist())
 
 
-def evolve(objective, unknowns, most):
-    """Find the standard deviations that minimise an objective with many minima.
-
-    Args:
-        objective, unknowns: As for `search`.
-        most: Upper bound on a standard deviation.
-
-    Returns:
-        The best sigma_w, to two digits, and its objective.
-    """
-    from scipy.optimize import differential_evolution  # as above
-
-    found = differential_evolution(
-        lambda logarithms: objective(_sigma_of(logarithms, unknowns)),
-        [np.log((LEAST, most))] * len(unknowns),
-        popsize=_MEMBERS,
-        maxiter=_GENERATIONS,
-        seed=0,
-        polish=False,
-    )
-    return tuple(float(f"{value:.2g}") for value in _sigma_of(found.x, unknowns)), found.fun
-
-
-def of_errors(estimator, sigma):
-    """The fields of Scenario for what `evolve` finds with OF_ERRORS: W, and σ_ω of an RHE."""
-    if estimator != "rhe":
-        return dict(estimator=estimator, sigma_w=sigma)
-    return dict(sigma_w=sigma[:6], sigma_v=(*paper.SIGMA_V[:3], sigma[6]))
-
-
 class _Exhausted(Exception):
     """All evaluations are used up."""
 
 
-def calibrate(estimator, **world):
-    """sigma_w of an estimator by maximum likelihood on the training seeds, and its deviance.
+# The table
 
-    `world` are fields of Scenario other than the default world's.
-    """
-    runs = oracle_runs(TRAINING_SEEDS, **world)
-    return search(lambda sigma_w: deviance(estimator, sigma_w, runs), UNKNOWNS[estimator])
+COLUMNS = "estimator process_noise sigma_w sigma_v objective evaluations seeds".split()
 
 
-def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
-    """Mean true error [m] over these seeds of a Scenario with these fields."""
-    scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
-    # One structure is driven hundreds of times, which pays for compiling its lanes.
-    lanes.load(build_sample, *set_up(scenarios[0]).structure)
-    return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
+def read_rows(file):
+    """The rows of a tuned.csv, {(estimator, rule): row}."""
+    with open(file, encoding="utf-8", newline="") as lines:
+        return {(row["estimator"], row["process_noise"]): row for row in csv.DictReader(lines)}
 
 
-def tune_for_tracking(estimator):
-    """W of an estimator (`of_errors`) by least mean true error, and that error [m]."""
-    return evolve(
-        lambda sigma: tracking_error_m(**of_errors(estimator, sigma)),
-        OF_ERRORS[estimator],
-        _MOST_BY_TRACKING,
-    )
+def write_rows(file, rows):
+    """Write {(estimator, rule): row} in the order of ESTIMATORS and of their rules."""
+    order = [(name, rule) for name, tuned in ESTIMATORS.items() for rule in tuned.rules]
+    others = [key for key in rows if key not in order]
+    with open(file, "w", encoding="utf-8", newline="") as lines:
+        writer = csv.DictWriter(lines, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[key] for key in (*order, *others) if key in rows)
+
+
+def file_of(name):
+    """The tuned.csv that has an estimator: that of the rivals, or that of rhec."""
+    return noises.FILE if name in RIVALS else tuning.FILE
+
+
+def make_table(names, rules, jobs, file_of=file_of):
+    """Tune these estimators by these of their rules, and write each row as it is found."""
+    wanted = [
+        (name, rule)
+        for name, rule in itertools.product(names, rules)
+        if rule in ESTIMATORS[name].rules
+    ]
+    spawn = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
+    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        found = {pool.submit(calibrate, *key): key for key in wanted}
+        for future in as_completed(found):
+            row = future.result()
+            for name in ("sigma_w", "sigma_v"):
+                row[name] = " ".join(f"{value:g}" for value in row[name])
+            print(*row.values(), flush=True)
+            file = file_of(row["estimator"])
+            write_rows(file, read_rows(file) | {found[future]: row})
+
+
+def main():
+    """The command line; see the head of this module."""
+    parser = argparse.ArgumentParser(description="Tune estimators and write tuned.csv.")
+    parser.add_argument("estimator", nargs="*", default=[*ESTIMATORS], help="all by default")
+    parser.add_argument("--rules", nargs="+", choices=RULES, default=[*RULES])
+    parser.add_argument("--jobs", type=int, default=multiprocessing.cpu_count())
+    given = parser.parse_args()
+    unknown = {*given.estimator} - {*ESTIMATORS}
+    if unknown:
+        parser.error(f"estimator was {min(unknown)!r}; it should be one of {tuple(ESTIMATORS)}")
+    make_table(given.estimator, given.rules, given.jobs)
 
 
 if __name__ == "__main__":
-    for name in UNKNOWNS:
-        print("by likelihood", name, *calibrate(name))
-    for name in ("rhe", "ekf", "augmented_ekf"):
-        print("by likelihood on soft soil", name, *calibrate(name, **SOFT_SOIL))
-    for name in OF_ERRORS:
-        print("by tracking", name, *tune_for_tracking(name))
+    main()

@@ -9,10 +9,11 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
+from rhec.core.controller.qp import commanded
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.simulation.closed_loop import first_guess
 from rhec.tracked_robot.path import path_of
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
@@ -28,15 +29,15 @@ def controller(scenario, solver):
         scenario: The Scenario that it is for; its own controller does not count.
         solver: "daqp" or "qpoases".
     """
-    horizon = horizon_of(scenario.prediction_horizon)._replace(qp=Condensed(solver))
+    stages = stages_of(scenario.prediction_horizon)._replace(qp=Condensed(solver))
     guess = first_guess(scenario, path_of(scenario))
-    memory = pack_array(rhc.init(horizon, guess[:3], guess[3:]))
-    return rhec.Controller(rhc.build_phases(horizon)["step"], memory)
+    memory = pack_array(rhc.init(stages, guess[:3], guess[3:]))
+    return rhec.Controller(rhc.build_phases(stages)["step"], memory)
 
 
 @dataclass(frozen=True)
 class Condensed:
-    """The option `qp` of a Horizon, or of `rhec.RHC`; `solver` is "daqp" or "qpoases"."""
+    """The option `qp` of Stages, or of `rhec.RHC`; `solver` is "daqp" or "qpoases"."""
 
     solver: str
 
@@ -45,41 +46,73 @@ class Condensed:
         """What names compiled code: this module makes it, too."""
         return self.solver, compiled.source_digest(__name__)
 
-    def build(self, horizon):
-        """Build the CondensedQP of a Horizon."""
-        return CondensedQP(horizon, self.solver)
+    def build(self, stages):
+        """Build the CondensedQP of Stages."""
+        return CondensedQP(stages, self.solver)
 
 
 class CondensedQP:
     """The QP in the commanded inputs with a dense Hessian, which the preparation phase condenses.
 
     Args:
-        horizon: The controller's Horizon.
+        stages: The controller's Stages.
         solver: "daqp" or "qpoases".
     """
 
-    def __init__(self, horizon, solver):
-        self.horizon = horizon
-        self._solve = box_qp_by_library(horizon.N * len(horizon.command), solver)
+    reported = ()
 
-    def prepare(self, D, B, Q, QN, R):
+    def __init__(self, stages, solver):
+        self.stages = stages
+        self._solve = box_qp_by_library(stages.N * stages.n_c, solver)
+
+    def prepare(self, inputs):
         """Condense the linearised dynamics and the weights to the Hessian H."""
-        horizon = self.horizon
-        # The parameters have no weight.
-        unweighted = ca.SX(horizon.n_s - horizon.n_x, 1)
-        Q, QN = (ca.diag(ca.vertcat(weight, unweighted)) for weight in (Q, QN))
-        A = [horizon.interval.A_0 + part for part in ca.horzsplit(D, horizon.n_s)]
-        B = [part[:, list(horizon.command)] for part in ca.horzsplit(B, horizon.n_u)]
-        return dict(H=_condensed_hessian(A, B, [Q] * (horizon.N - 1) + [QN], ca.diag(R)))
+        A, B = self._intervals(inputs)
+        Q, QN, R = (ca.diag(inputs[name]) for name in ("Q", "QN", "R"))
+        return dict(H=_condensed_hessian(A, B, [Q] * (self.stages.N - 1) + [QN], R))
 
-    def solve(self, step, inputs):
-        """Solve min ½ Δu'HΔu + g'Δu, least ≤ Δu ≤ most, with H from `prepare`.
+    def solve(self, at_plan, inputs):
+        """Solve min ½ Δu'HΔu + g'Δu, lower ≤ u + Δu ≤ upper, with H from `prepare`.
 
-        Args and returns are those of `rhec.core.controller.plain.StagewiseQP.solve`.
+        Args and returns are those of `rhec.core.controller.qp.ActiveSet.solve`.
         """
-        bounds = dict(lb=step["least"].T, ub=step["most"].T)
-        solution = self._solve(H=inputs["H"], g=step["g"].T, **bounds)
-        return solution["x"].T, solution["multipliers"].T, solution["solved"]
+        stages = self.stages
+        g = _condensed_gradient(*self._intervals(inputs), ca.horzsplit(at_plan["g"]))
+        commands = at_plan["rows"][:, : stages.N]
+        lb, ub = (ca.vec(inputs[name] - commands) for name in ("lower", "upper"))
+        solution = self._solve(H=inputs["H"], g=g, lb=lb, ub=ub)
+        multipliers = solution["multipliers"]
+        distance = ca.if_else(multipliers > 0, ub, lb)
+        return dict(
+            change=ca.reshape(solution["x"], stages.n_c, stages.N),
+            decrease=ca.fabs(ca.dot(g, solution["x"])),
+            complementarity=ca.sum1(ca.fabs(multipliers * distance)),
+            solved=solution["solved"],
+            ok=solution["solved"],
+        )
+
+    def _intervals(self, inputs):
+        """A and B of each interval, of the states x and the commands."""
+        stages = self.stages
+        x = list(range(stages.n_x))
+        of_commands = commanded(stages, inputs)
+        A_0 = stages.interval.A_0[x, x]
+        A = [A_0 + part for part in ca.horzsplit(of_commands["D"], stages.n_x)]
+        return A, ca.horzsplit(of_commands["B"], stages.n_c)
+
+
+def _condensed_gradient(A, B, g):
+    """The gradient in u alone, from those of the nodes 0 … N in (x_i, u_i).
+
+    λ_N = g_x,N;  g_i = g_u,i + B_i' λ_{i+1} and λ_i = g_x,i + A_i' λ_{i+1}.
+    """
+    n_x = A[0].size1()
+    adjoint = g[-1][:n_x]
+    condensed = []
+    for A_i, B_i, g_i in zip(A[::-1], B[::-1], g[-2::-1]):
+        condensed.insert(0, g_i[n_x:] + B_i.T @ adjoint)
+        adjoint = g_i[:n_x] + A_i.T @ adjoint
+    return ca.vertcat(*condensed)
 
 
 def _condensed_hessian(A, B, Q, R):

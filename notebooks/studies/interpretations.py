@@ -1,4 +1,4 @@
-"""Audit of the interpretations G1 to G16 (docs/interpretations.md): what each way to read the paper
+"""Audit of the interpretations G1 to G18 (docs/interpretations.md): what each way to read the paper
 does to the estimators, by analysis and by simulation.
 
 Analysis of the EKF: on a straight at constant speed, (y, θ) evolve by themselves, y⁺ = y + T μν θ,
@@ -31,7 +31,7 @@ _MU = 0.9
 
 
 class _Entry(NamedTuple):
-    """A standard deviation of an estimator's W that differs between printed W and the likeliest."""
+    """A standard deviation of an estimator's W that the rules pick differently."""
 
     label: str
     estimator: str
@@ -39,10 +39,10 @@ class _Entry(NamedTuple):
 
     @property
     def values(self):
-        """{"printed": σ, "likelihood": σ}."""
+        """{"printed": σ, "prediction": σ}."""
         place = _PLACES[self.state][0]
-        noises = ("printed", "likelihood")
-        return {name: tuning.SIGMA_W[self.estimator][name][place] for name in noises}
+        noises = ("printed", "prediction")
+        return {name: tuning.NOISES[self.estimator][name].sigma_w[place] for name in noises}
 
 
 ENTRIES = {
@@ -51,7 +51,8 @@ ENTRIES = {
     "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
     "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
 }
-# Values between printed and likeliest σ that are driven, and those whose runs are shown over time.
+# Values that are driven between σ as printed and by prediction, and those whose runs are shown over
+# time.
 _BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
 _SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
 
@@ -114,7 +115,7 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     guess = (0.0, 0.0, 0.0, paper.SPEED_MPS, _MU, _KAPPA)
     deviations = []
     for sigma in sigma_kappa:
-        sigma_w = (*tuning.SIGMA_W["rhe"][process_noise][:5], float(sigma))
+        sigma_w = (*tuning.NOISES["rhe"][process_noise].sigma_w[:5], float(sigma))
         estimator = rhec.RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
@@ -154,7 +155,7 @@ def swept(estimator, process_noise, state, values, seeds):
     cases = [*itertools.product(values, range(seeds))]
     scenarios = []
     for value, seed in cases:
-        sigma_w = _with_entry(tuning.SIGMA_W[estimator][process_noise], state, float(value))
+        sigma_w = _with_entry(tuning.NOISES[estimator][process_noise].sigma_w, state, float(value))
         choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
         scenarios.append(Scenario(seed=seed, **choice))
     runs = {}
@@ -173,33 +174,35 @@ def swept(estimator, process_noise, state, values, seeds):
 
 
 def sweep_of(name, seeds):
-    """As `swept`, with one of ENTRIES of the printed W, from its printed to its likeliest value.
+    """As `swept`, with one of ENTRIES of the printed W moved from its value to that by prediction.
 
     The first result has the runs for pictures alone.
     """
     entry = ENTRIES[name]
-    values = (entry.values["printed"], *_BETWEEN[name], entry.values["likelihood"])
+    values = (entry.values["printed"], *_BETWEEN[name], entry.values["prediction"])
     runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
     return {value: runs[value] for value in values[_SHOWN[name]]}, table
 
 
 def likelihood_profile(estimator, state, factors, seeds=3):
-    """How much less likely measurements become as one of the entries of the likeliest W changes.
+    """How much less likely measurements become as one of the entries of W by prediction changes.
 
     The standard deviation of the state is multiplied by the factors. The columns are sigma and
     deviance, -2 log likelihood a sample above the least, on so many of the training runs.
     """
     runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
     samples = sum(len(run.columns["t_s"]) for run in runs)
-    likeliest = tuning.SIGMA_W[estimator]["likelihood"]
-    sigmas = [factor * likeliest[_PLACES[state][0]] for factor in factors]
-    sigma_w = [_with_entry(likeliest, state, sigma) for sigma in sigmas]
-    deviances = np.array([calibration.deviance(estimator, W, runs) / samples for W in sigma_w])
+    noise = tuning.NOISES[estimator]["prediction"]
+    sigmas = [factor * noise.sigma_w[_PLACES[state][0]] for factor in factors]
+    sigma_w = [_with_entry(noise.sigma_w, state, sigma) for sigma in sigmas]
+    deviances = np.array(
+        [calibration.deviance(estimator, W, runs, sigma_v=noise.sigma_v) / samples for W in sigma_w]
+    )
     return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
 
 
 def likelihood_profiles(factors, seeds=3):
-    """`likelihood_profile` of all ENTRIES: {label: (table, printed σ, likeliest σ)}."""
+    """`likelihood_profile` of all ENTRIES: {label: (table, σ as printed, σ by prediction)}."""
     return {
         entry.label: (
             likelihood_profile(entry.estimator, entry.state, factors, seeds),
@@ -212,8 +215,7 @@ def likelihood_profiles(factors, seeds=3):
 # One interpretation at a time
 
 # id: (what it says, fields of the scenario for both estimators, or for RHE and EKF); G11, G12
-# and G14 concern what is reported, not what is driven; the effect of G15 and G16 is within 0.2 mm
-# (docs/interpretations.md)
+# and G14 concern what is reported, not what is driven; G15 and G16 are left out
 INTERPRETATIONS = {
     "G3 a": ("speed 0.3 m/s", dict(speed_mps=0.3)),
     "G3 b": ("speed 0.6 m/s", dict(speed_mps=0.6)),
@@ -226,6 +228,9 @@ INTERPRETATIONS = {
     "G8": ("path's yaw rate as reference", dict(input_reference="curvature")),
     "G9": ("backwards, λ = 1", dict(backwards=True)),
     "G10": ("command one sample late", dict(command_delay=1)),
+    "G18 a": ("turns to the left only", dict(turns="left")),
+    "G18 b": ("turns to the right only", dict(turns="right")),
+    "G18 c": ("a figure of eight", dict(turns="figure_of_eight")),
 }
 QUANTITIES = {
     "mean_error_m": "mean error, raw GNSS [m]",
@@ -252,7 +257,7 @@ def one_at_a_time(baseline, seeds, folder=None):
     G1 and G2 are the other W, for one estimator at a time.
 
     Args:
-        baseline: Its process noise, "printed" or "likelihood".
+        baseline: Its process noise, "printed" or "prediction".
         seeds: How many fields, from seed 0 on.
         folder: Where the campaign keeps its rows.
 
@@ -260,7 +265,7 @@ def one_at_a_time(baseline, seeds, folder=None):
         DataFrame, one row an interpretation and quantity: value, and its change from the baseline,
         with their 95 % intervals. "advantage_m" is RHE - EKF, both under the interpretation.
     """
-    other = "likelihood" if baseline == "printed" else "printed"
+    other = "prediction" if baseline == "printed" else "printed"
     interpretations = {
         "baseline": ("baseline", dict()),
         "G1": (f"EKF: W {other}", dict(), dict(process_noise=other)),

@@ -9,6 +9,16 @@ A claim about a mean, a difference, a ratio or a share *holds* if the whole inte
 its bounds, *does not hold* if none of it does, and is *undecided* otherwise. A bound that is
 touched is not kept, since no change at all is no improvement. Each rule is a pure function of the
 samples and the bounds.
+
+What the paper reports has one rule, by which README and the ledger judge alike:
+
+- A *number* (`verdict_on_number`) is *met* if the whole interval of our mean is within a tenth of
+  it (a count of violations: a third), else *possible* if it lies in the middle 90 % of single
+  drives, else *not met*. It is *lost* if the robot is: if its mean error is above the tolerance of
+  the rows (`is_lost`).
+- An *order* (`verdict_on_order`) has the whole paired interval on the paper's side. To beat a rival
+  that is lost proves nothing.
+- *Never* (`verdict_on_never`) asks for at least 95 % of the drives in which the oracle is without.
 """
 
 from typing import NamedTuple
@@ -16,17 +26,33 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from rhec import paper
+
 HOLDS = "holds"
 FAILS = "does not hold"
 UNDECIDED = "undecided"
 UNTESTABLE = "cannot be tested here"
 LOST = "its rival is lost"  # to beat a robot that left the path proves nothing
+MET = "met"  # of a number that the paper reports, as are the next three
+POSSIBLE = "possible"
+NOT_MET = "not met"
+LOST_ITSELF = "lost"
 AS_PRINTED = "as printed"  # the condition that takes the paper to the letter
+PREDICTION = "W by prediction"
+# The condition of a claim by each rule that picks W, {process_noise: name}
+CONDITIONS = {
+    "printed": AS_PRINTED,
+    "consistent": "W consistent",
+    "prediction": PREDICTION,
+    "tracking": "W by tracking",
+}
 CONFIDENCE = 0.95
 EARLY_CONFIDENCE = 0.998  # of a look at few fields, before the last one
-_MIN_SINGLE_RUNS = 40  # fewer have no middle 95 %
+ALMOST_ALWAYS = 0.95  # "never": the share of drives without it
+WITHIN = 0.1  # a mean meets a number of the paper if it is within this share of it
+WITHIN_COUNTS = 1 / 3  # the same of violations, whose number grows with the metres of row
+SINGLE_DRIVES = (0.05, 0.95)  # between these quantiles lie the middle 90 % of single drives
 _RARE = 0.01  # an event that "may" happen is refuted once its share must be below this
-_NEAR = 0.25  # a mean is near a number of the paper if it is within a quarter of it
 
 
 class Interval(NamedTuple):
@@ -79,6 +105,54 @@ def verdict(low, high, above=-np.inf, below=np.inf):
     if above < low and high < below:
         return HOLDS
     return FAILS if high <= above or low >= below else UNDECIDED
+
+
+# What the paper reports
+
+
+def is_lost(mean_error_m):
+    """Whether a robot whose drives have this mean error is lost: it is beyond the tolerance."""
+    return mean_error_m > paper.TOLERANCE_M
+
+
+def verdict_on_number(low, high, single_low, single_high, number, within=WITHIN):
+    """The verdict on a number that the paper reports of one drive.
+
+    Args:
+        low, high: Interval of our mean.
+        single_low, single_high: The middle 90 % of single drives.
+        number: The paper's.
+        within: How near the mean must be, as a share of it.
+
+    Returns:
+        MET, POSSIBLE or NOT_MET; UNDECIDED where there is no interval.
+    """
+    if np.isnan(low) or np.isnan(high):
+        return UNDECIDED
+    if low >= (1 - within) * number and high <= (1 + within) * number:
+        return MET
+    return POSSIBLE if single_low <= number <= single_high else NOT_MET
+
+
+def verdict_on_order(low, high, rival_error_m):
+    """The verdict on "ours is less than the rival's".
+
+    Args:
+        low, high: Interval of the mean of ours - the rival's, paired.
+        rival_error_m: Mean error of the rival.
+
+    Returns:
+        HOLDS, FAILS or UNDECIDED by the whole interval; LOST if the rival is.
+    """
+    return LOST if is_lost(rival_error_m) else verdict(low, high, below=0)
+
+
+def verdict_on_never(low, high):
+    """The verdict on "never", by the interval of the share of drives without it.
+
+    Those drives alone count in which the oracle is without it, too.
+    """
+    return verdict(low, high, above=ALMOST_ALWAYS)
 
 
 # Intervals
@@ -277,6 +351,12 @@ def share_twice(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     return share(one > 2 * other, above, below, confidence)
 
 
+def share_less(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
+    """Judge the share of pairs in which one is less than the other."""
+    one, other = _checked(one, other)
+    return share(one < other, above, below, confidence)
+
+
 def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):
     """Judge a share of flags relative to the oracle: fields where the oracle fails are left out."""
     flags, oracle = _checked(flags, oracle)
@@ -307,38 +387,46 @@ def possible(flags, confidence=CONFIDENCE):
     return outcome._replace(verdict=seen, above=0.0, below=np.inf, p=np.nan)
 
 
-def reported(values, paper, confidence=CONFIDENCE):
-    """Judge that a number which the paper reports, of one drive or few, is usual here.
+def reported(values, errors_m, number, within=WITHIN, confidence=CONFIDENCE):
+    """Judge a number that the paper reports of one drive, see `verdict_on_number`.
 
-    It holds if the number lies in the middle 95 % of single runs and the mean is within a quarter
-    of it. Without the second condition, more numbers would be usual the more the runs differ. Both
-    are judged by intervals: of the mean, and of the share of runs below the number.
+    At an early look, which asks for more confidence, it is UNDECIDED as long as more drives may
+    well change the word: an interval, of the mean, of the mean error or of the share of drives
+    below the number, reaches over the edge at which the word changes.
+
+    Args:
+        values: Of each drive.
+        errors_m: Mean error of each drive: LOST_ITSELF if their mean says so.
+        number: The paper's.
+        within: How near the mean must be, as a share of it.
+        confidence: That the verdict needs.
 
     Returns:
-        Finding with the interval of single runs, not of their mean. That of fewer than 40 runs is
-        Student's prediction interval, mean ± t s √(1 + 1/n) with their deviation s, and undecided.
+        Finding. Its interval is the middle 90 % of single drives, its bounds are those of the mean.
     """
-    limits = dict(above=(1 - _NEAR) * paper, below=(1 + _NEAR) * paper)
-    near = mean(values, **limits, confidence=confidence)
-    low = np.nan
-    high = np.nan
-    outcome = UNDECIDED
-    if 2 <= near.n < _MIN_SINGLE_RUNS:
-        error = np.std(values, ddof=1) * np.sqrt(1 + 1 / near.n)
-        low, high = _interval(near.value, error, near.n - 1)
-    if near.n >= _MIN_SINGLE_RUNS:
-        tails = (1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2
-        low, high = np.quantile(values, tails)
-        usual = share(np.asarray(values) < paper, *tails, confidence=confidence)
-        outcome = _both(near.verdict, usual.verdict)
-    return Finding(near.value, float(low), float(high), near.n, outcome, paper, paper)
+    values, errors_m = _checked(values, errors_m)
+    bounds = dict(above=(1 - within) * number, below=(1 + within) * number)
+    of_mean = mean(values, **bounds, confidence=confidence)
+    single = np.quantile(values, SINGLE_DRIVES) if len(values) else (np.nan, np.nan)
+    outcome = verdict_on_number(of_mean.low, of_mean.high, *single, number, within)
+    of_error = mean(errors_m, above=paper.TOLERANCE_M, confidence=confidence)
+    if is_lost(of_error.value):
+        may_change = of_error.verdict == UNDECIDED
+        outcome = LOST_ITSELF
+    else:
+        may_change = _may_change(of_mean.verdict, values, number, confidence)
+    if confidence > CONFIDENCE and may_change:
+        outcome = UNDECIDED
+    low, high = map(float, single)
+    return of_mean._replace(low=low, high=high, verdict=outcome, p=np.nan)
 
 
-def _both(one, other):
-    """The verdict on two conditions that must both hold."""
-    if FAILS in (one, other):
-        return FAILS
-    return HOLDS if one == other == HOLDS else UNDECIDED
+def _may_change(nearness, values, number, confidence):
+    """Whether more drives may change the word for a reported number, at this confidence."""
+    if nearness == HOLDS:
+        return False
+    usual = share(values < number, *SINGLE_DRIVES, confidence=confidence)
+    return UNDECIDED in (nearness, usual.verdict)
 
 
 def equal(value, expected, tolerance):
@@ -367,13 +455,19 @@ def combined(findings):
     none, the first condition decides, unless one is undecided: then the claim is, too. Conditions
     under which the rival is lost do not count, unless it is under all.
 
+    A number that is met lets a claim hold. If it is met under none and possible under one, the
+    claim is POSSIBLE.
+
     Args:
         findings: {condition: Finding}; the first condition is the paper as printed.
 
     Returns:
         The verdict, and the condition whose numbers stand for it.
     """
-    every = {condition: finding.verdict for condition, finding in findings.items()}
+    every = {
+        condition: _OF_NUMBERS.get(finding.verdict, finding.verdict)
+        for condition, finding in findings.items()
+    }
     verdicts = {condition: of for condition, of in every.items() if of != LOST} or every
     first = next(iter(verdicts))
     holding = [condition for condition, outcome in verdicts.items() if outcome == HOLDS]
@@ -381,10 +475,17 @@ def combined(findings):
         return HOLDS, first
     if holding:
         only = "only " * (len(holding) == 1 and UNDECIDED not in verdicts.values())
-        departs = "with " * (holding[0] != first)
+        departs = "with " * (holding[0] != next(iter(findings)))
         return f"{HOLDS} {only}{departs}{holding[0]}", holding[0]
-    undecided = [condition for condition, outcome in verdicts.items() if outcome == UNDECIDED]
-    return (UNDECIDED, undecided[0]) if undecided else (verdicts[first], first)
+    for outcome in (UNDECIDED, POSSIBLE):
+        open_ = [condition for condition in verdicts if verdicts[condition] == outcome]
+        if open_:
+            return outcome, open_[0]
+    return verdicts[first], first
+
+
+# What a word on a number says of the claim
+_OF_NUMBERS = {MET: HOLDS, NOT_MET: FAILS, LOST_ITSELF: FAILS}
 
 
 def combined_possible(findings):

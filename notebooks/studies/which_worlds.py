@@ -1,56 +1,60 @@
 """Which worlds give the paper's numbers: the inverse problem of its field experiment.
 
-The paper states what its robot did, and neither soil nor speed. Here soil, sensors, speed and drive
-are drawn from PRIORS, each world is driven on several fields by the paper's robots, and approximate
-Bayesian computation (`notebooks.studies.abc_regression`) finds the worlds in which one drive
-gives what the paper states (STATEMENTS).
+The paper states what its robot did, and neither soil nor speed nor which way its path turned. Here
+soil, sensors, speed and drive are drawn from PRIORS and CHOICES_OF, each world is driven on several
+fields by the paper's robots, and approximate Bayesian computation
+(`notebooks.studies.abc_regression`) finds the worlds in which one drive gives what the paper states
+(STATEMENTS). Worlds of a first round are the prior's; those of a second are near the first ones
+that came near the paper, with weights that make up for it.
 
 The paper is one drive with each estimator. So the simulation that is compared with it is one
 drive on one field, never the mean of several. The two drives are on the same soil at different
-times, so that their noise differs. W is unknown, too: the RHE's is one of W_RHE, and the EKF's,
-with which nobody can drive as printed, is printed or free.
+times, so that their noise differs. W is unknown, too: that of either estimator is printed or free.
+None is one that was tuned in the default world, so that the posterior does not depend on it.
 
-`python -m notebooks.studies.which_worlds` drives all worlds, in a quarter of an hour, and writes
-`data/prior_drives.parquet`, `data/posterior_worlds.csv` and `data/posterior_drives.parquet`; it
-keeps blocks of worlds in build/inverse and goes on where it was interrupted.
+`python -m notebooks.studies.which_worlds` drives all worlds, in about ten minutes of two quiet
+cores, and writes `data/prior_drives.parquet`, `data/posterior_worlds.csv` and
+`data/posterior_drives.parquet`; it keeps blocks of worlds in build/inverse and goes on where it was
+interrupted. What depends on rules for W is in `notebooks.studies.order_in_worlds`.
 """
 
 import argparse
 import dataclasses
 import hashlib
 import itertools
-from pathlib import Path
+import pathlib
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from notebooks.studies import abc_regression, statistics
+from notebooks.studies import abc_regression
 from notebooks.studies.parallel import map_runs
-from notebooks.studies.tables import interval_text
+from notebooks.studies.statistics import CONFIDENCE
 from rhec import paper
+from rhec.files import replacing
 from rhec.simulation.campaigns import store
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.metrics import SETTLING_SAMPLES
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot.path import Path
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = pathlib.Path(__file__).parents[2] / "data"
 PRIOR_DRIVES = DATA / "prior_drives.parquet"
-POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
+POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
 
-WORLDS = 2048
-FIELDS = 8  # of each world, and one vector register of lanes
-ROW_FIELDS = 2  # of those, for Q¹ and Q², which need the first row only
-FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 8 k and the next 7
+FIRST_ROUND = 2048  # worlds of the prior
+SECOND_ROUND = 2560  # worlds near those of the first that came near the paper
+KEEP_FIRST = 800  # nearest simulations of the first round, behind the second
+FIELDS = 2  # of each world
+FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
 _BLOCK = 256  # worlds in one file of build/inverse
-KEEP = 500  # nearest simulations behind a posterior
-DRAWS = 200  # worlds in POSTERIOR_WORLDS
-CENTRE_COPIES = 25  # of the centre in POSTERIOR_DRIVES, FIELDS fields each
-_MOST_WORLDS = 2**17
-_UNUSED_SEED = FIRST_SEED + FIELDS * _MOST_WORLDS  # no world of the prior has these fields
+KEEP = 4200  # nearest simulations behind a posterior
+DRAWS = 240  # worlds in POSTERIOR_WORLDS
+COPIES = 32  # of the default world, and of the centre, in POSTERIOR_DRIVES
+UNUSED_SEED = FIRST_SEED + 2**20  # no world of either round has these fields
 _OTHER_TIME = 2**24  # from the seed of the RHE's noise to that of the EKF's
 
 
@@ -74,6 +78,8 @@ _RTK = "Carballido et al. 2014 (1.4 cm between rows, RTK); the paper (0.03 m)"
 _CORRELATION = "Miller et al. 2012 (115 s) to Odolinski 2012 (13 to 17 min)"
 _CONE_INDEX = "soil's resistance to penetration varies by 16 to 46 % (Bragantia)"
 _ROBOTS = "four recorded robots (tuning.SLIP: 0.015), a factor of three to either side"
+_SIGMA = "judged: none to ten times that of the GNSS"
+_RATIO = "judged: a heading, and an estimator, that last"
 # A deviation is a share of the mean slip, 1 - traction, since slip cannot vary where there is none.
 PRIORS = {
     "speed_mps": Prior(0.25, 0.75, False, "Liu et al. 2025 (0.35 and 0.75 m/s, tracks, field)"),
@@ -93,25 +99,50 @@ PRIORS = {
     "gnss_slow_time_s": Prior(30.0, 1000.0, True, _CORRELATION),
     "encoder_sigma_mps": Prior(0.005, 0.035, False, "the paper (accuracy 0.035 m/s)"),
     "speed_sigma_mps": Prior(0.0, 0.05, False, "the paper (σ_ν = 0.05 m/s)"),
-    "command_delay": Prior(0, 1, False, "the paper, eq. (13), either reading (G10)"),
     "row_length_m": Prior(15.0, 30.0, False, "judged; the paper gives no length"),
-    "rows": Prior(1.2, 2.2, False, "judged: straight and curved lines, no length given"),
+    "rows": Prior(1.2, 3.2, False, "judged: straight and curved lines, no length given"),
     "turn_demand": Prior(0.6, 0.9, False, "judged: headlands that the yaw rate's bound allows"),
     "start_offset_m": Prior(0.3, 1.5, False, "judged: the paper starts off-track"),
-    "sigma_ekf_m": Prior(0.001, 0.3, True, "judged: none to ten times that of the GNSS"),
-    "sigma_ekf_ratio_radpm": Prior(0.1, 10.0, True, "judged: a heading, and a filter, that last"),
+    "sigma_rhe_m": Prior(0.001, 0.3, True, _SIGMA),
+    "sigma_rhe_ratio_radpm": Prior(0.1, 10.0, True, _RATIO),
+    "sigma_rhe_traction": Prior(0.001, 0.3, True, "judged: constant to as fast as printed"),
+    "sigma_ekf_m": Prior(0.001, 0.3, True, _SIGMA),
+    "sigma_ekf_ratio_radpm": Prior(0.1, 10.0, True, _RATIO),
 }
-_DISCRETE = ("command_delay",)
 
-# Fields of Scenario; G7 belongs to the printed W, since the others were tuned with the filter's.
+
+class Choice(NamedTuple):
+    """An unknown that is one of a few, each as likely as the others.
+
+    Attributes:
+        values: What it may be.
+        source: Why these.
+    """
+
+    values: tuple
+    source: str
+
+
+# The first turn is to the left by convention: a world and its mirror image give the same numbers,
+# so that turns to the right alone are turns to the left with the opposite slip_difference.
+CHOICES_OF = {
+    "turns": Choice(
+        ("left", "alternate", "figure_of_eight"), "the paper does not say which way it turned (G18)"
+    ),
+    "start_side": Choice((1, -1), "judged: to the left of the path or to its right"),
+    "command_delay": Choice((0, 1), "the paper, eq. (13), either reading (G10)"),
+}
+UNKNOWNS = (*PRIORS, *CHOICES_OF)
+
+# Fields of Scenario; G7 belongs to the printed W.
 W_RHE = {
     "printed": dict(process_noise="printed"),
     "smoothed": dict(process_noise="printed", arrival_mean="smoothed"),
-    "likelihood": dict(process_noise="likelihood"),
-    "consistent": dict(process_noise="consistent"),
+    "free": {},  # sigma_rhe_m, sigma_rhe_ratio_radpm and sigma_rhe_traction of the world
 }
 W_EKF = ("printed", "free")  # free: sigma_ekf_m and sigma_ekf_ratio_radpm of the world
 PRINTED = "printed", "smoothed"  # the W of the paper, of either estimator
+CHOICES = tuple(itertools.product(W_RHE, W_EKF))  # of W
 
 
 class Statement(NamedTuple):
@@ -148,11 +179,6 @@ STATEMENTS = {
     "slow_q1": Statement("Q¹ does not arrive within a reasonable time", 0.0, 0.0),
     "overshoot_q2": Statement("Q² oscillates about the path", 0.0, 0.0),
     "reaches_bound": Statement("the yaw rate reaches its bounds", 0.0, 0.0),
-    "gain": Statement(
-        "the RHE's error is smaller by a factor of 1.22",
-        float(np.log(paper.MEAN_ERROR_EKF_M / paper.MEAN_ERROR_RHE_M)),
-        float(np.log(paper.MEAN_ERROR_EKF_M / paper.MEAN_ERROR_RHE_M)) / 2,
-    ),
 }
 _NUMBERS = 4  # the first of STATEMENTS are printed numbers
 
@@ -160,29 +186,69 @@ _NUMBERS = 4  # the first of STATEMENTS are printed numbers
 # Worlds
 
 
-def sample_unit(n=WORLDS, seed=0):
-    """The first n points of a scrambled Sobol sequence over PRIORS, (n, d) between 0 and 1."""
-    sequence = stats.qmc.Sobol(len(PRIORS), rng=np.random.default_rng(seed))
+class Design(NamedTuple):
+    """Which worlds are driven.
+
+    Attributes:
+        unit: (n, d) their points between 0 and 1, where the prior is uniform.
+        weights: (n,) by which they stand for the prior.
+    """
+
+    unit: np.ndarray
+    weights: np.ndarray
+
+    def part(self, n):
+        """The first n worlds."""
+        return Design(self.unit[:n], self.weights[:n])
+
+
+def first_round(n=FIRST_ROUND):
+    """The Design of the first n worlds of the prior: a scrambled Sobol sequence."""
+    return Design(_sobol(FIRST_ROUND, seed=0)[:n], np.ones(n))
+
+
+def both_rounds(drives):
+    """The Design of all worlds that were driven: those of the prior, then those near the paper.
+
+    Args:
+        drives: Of the first round alone, or of both.
+    """
+    first = first_round()
+    table = simulations(drives.iloc[: FIELDS * FIRST_ROUND], first)
+    near = abc_regression.posterior(table, observed(), KEEP_FIRST)
+    proposal = abc_regression.proposal(near, table.discrete)
+    second = proposal.unit_at(_sobol(SECOND_ROUND, seed=1))
+    unit = np.concatenate([first.unit, second])
+    return Design(unit, proposal.weights(unit, FIRST_ROUND / len(unit)))
+
+
+def _sobol(n, seed):
+    """n points (n, d) of a scrambled Sobol sequence."""
+    sequence = stats.qmc.Sobol(len(UNKNOWNS), rng=np.random.default_rng(seed))
     return sequence.random_base2((n - 1).bit_length())[:n]
 
 
 def worlds_at(unit):
-    """Worlds at points (n, d) between 0 and 1, by the priors' quantiles: DataFrame (n, d).
+    """Worlds at points (n, d) between 0 and 1, by the priors' quantiles: DataFrame (n, UNKNOWNS).
 
-    A point u becomes least + (most - least) u, or least^(1-u) most^u on a logarithmic scale.
+    A point u becomes least + (most - least) u, or least^(1-u) most^u on a logarithmic scale. Of a
+    choice between k values, each has the k-th part of the range.
     """
     least, most, logarithmic, _ = map(np.array, zip(*PRIORS.values()))
     floor = np.where(logarithmic, least, 1.0)  # keeps the unused power real
     ceiling = np.where(logarithmic, most, 1.0)
-    powers = floor ** (1 - unit) * ceiling**unit
-    worlds = pd.DataFrame(
-        np.where(logarithmic, powers, least + (most - least) * unit), columns=list(PRIORS)
-    )
-    return worlds.assign(command_delay=(worlds["command_delay"] >= 0.5).astype(int))
+    of_range = unit[:, : len(PRIORS)]
+    powers = floor ** (1 - of_range) * ceiling**of_range
+    values = np.where(logarithmic, powers, least + (most - least) * of_range)
+    worlds = pd.DataFrame(values, columns=list(PRIORS))
+    for (name, choice), of_choice in zip(CHOICES_OF.items(), unit[:, len(PRIORS) :].T):
+        places = np.minimum((of_choice * len(choice.values)).astype(int), len(choice.values) - 1)
+        worlds[name] = [choice.values[place] for place in places]
+    return worlds
 
 
 def fields_of(world):
-    """The fields of Scenario that a world sets, and the free W of the EKF: sigma_ekf_m and _rad.
+    """The fields of Scenario that a world sets, and the free W of RHE and EKF (sigma_rhe_…, …).
 
     At the pace v = μν the headland's radius is v / (κ ω_max demand). With `rows` = 1.25 the robot
     drives one row, one headland and a quarter of the next row.
@@ -190,79 +256,114 @@ def fields_of(world):
     Bumps of the correlation length ℓ and of σ rad/s at the paper's speed ν let the yaw walk at
     random by D = √(2ℓ) σ/ν in rad/√m; those of one sample have ℓ = ν Δt / 2.
     """
-    world = {name: float(value) for name, value in world.items()}
+    world = dict(world)
     for name in ("mu", "kappa"):
         slip = world.pop(f"{name}_slip")
         world[f"{name}_mean"] = 1 - slip
         world[f"{name}_deviation"] = world.pop(f"{name}_variation") * slip
+    world["start_offset_m"] *= world.pop("start_side")
     pace_mps = world["mu_mean"] * world["speed_mps"]
     radius_m = pace_mps / (world["kappa_mean"] * paper.OMEGA_MAX_RADPS * world.pop("turn_demand"))
-    rows = world.pop("rows")
-    length_m = rows * world["row_length_m"] + np.floor(rows) * np.pi * radius_m
-    drive = dict(headland_radius_m=radius_m, duration_s=round(length_m / pace_mps, 1))
+    drive = dict(
+        headland_radius_m=radius_m,
+        duration_s=duration_s(world.pop("rows"), world | dict(headland_radius_m=radius_m)),
+    )
     rut_m = max(world["rut_length_m"], paper.SPEED_MPS * paper.DT_S / 2)
-    sigma = world.pop("bump_diffusion_radpsqrtm") * paper.SPEED_MPS / np.sqrt(2 * rut_m)
+    sigma = world.pop("bump_diffusion_radpsqrtm") * paper.SPEED_MPS / (2 * rut_m) ** 0.5
     ground = dict(bump_sigma_radps=sigma, soil_under="tracks")
-    sigma_m = world.pop("sigma_ekf_m")
-    noise = dict(sigma_ekf_m=sigma_m, sigma_ekf_rad=sigma_m * world.pop("sigma_ekf_ratio_radpm"))
-    return world | drive | ground | noise | dict(command_delay=int(world["command_delay"]))
+    noise = {
+        f"sigma_{name}_rad": world[f"sigma_{name}_m"] * world.pop(f"sigma_{name}_ratio_radpm")
+        for name in ("rhe", "ekf")
+    }
+    return world | drive | ground | noise
+
+
+def duration_s(rows, fields):
+    """How long a drive over so many rows, with the headlands between them, takes [s]."""
+    path = Path.rows(fields["row_length_m"], fields["headland_radius_m"], fields["turns"])
+    row_m, turn_m = np.diff(path.segments[:3, 0])
+    length_m = rows * row_m + np.floor(rows) * turn_m
+    return round(float(length_m / (fields["mu_mean"] * fields["speed_mps"])), 1)
 
 
 # Drives
 
 
-_SPEED_NOISE_MPS = 0.001  # of a sample, in the EKF's free W
+_SPEED_NOISE_MPS = 0.001  # of a sample, in a free W
 
 
 def noise_of(estimator, w, fields):
     """The fields of Scenario that give an estimator its W in a world.
 
+    A free W is one of the paper's two estimators; others have theirs by prediction instead, and so
+    has what else a rule picks.
+
     Args:
-        estimator: "rhe" or "ekf".
-        w: Of W_RHE or W_EKF, or another name of a W.
+        estimator: Of Scenario.
+        w: Of W_RHE or W_EKF, the name of a rule for W, or "fitted", which a world must have in
+            fitted_rhe and fitted_ekf.
         fields: Of the world (`fields_of`).
     """
-    if estimator == "ekf" and w == "free":
-        sigma_m = fields["sigma_ekf_m"]
-        return dict(sigma_w=(sigma_m, sigma_m, fields["sigma_ekf_rad"], _SPEED_NOISE_MPS))
-    return W_RHE.get(w, dict(process_noise=w))
+    if w == "fitted":
+        return fields[f"fitted_{estimator}"]
+    if w == "free" and estimator not in ("rhe", "ekf"):
+        return dict(process_noise="prediction")
+    if w != "free":
+        return W_RHE.get(w, dict(process_noise=w))
+    sigma_m = fields[f"sigma_{estimator}_m"]
+    sigma_w = (sigma_m, sigma_m, fields[f"sigma_{estimator}_rad"], _SPEED_NOISE_MPS)
+    if estimator == "rhe":
+        sigma_w += (fields["sigma_rhe_traction"],) * 2
+    return dict(process_noise="prediction", sigma_w=sigma_w, sigma_v=paper.SIGMA_V)
 
 
-# {name: (estimator, W, weight, whether it needs the first row only)}
-VARIANTS = {f"ekf_{w}": ("ekf", w, paper.Q3, False) for w in W_EKF}
+class Variant(NamedTuple):
+    """A robot that is driven in a world.
+
+    Attributes:
+        estimator: "rhe" or "ekf".
+        w: Of W_RHE or W_EKF, or the name of a rule for W.
+        q: Weight of the controller.
+        first_row: Whether the drive ends with the first row.
+    """
+
+    estimator: str
+    w: str
+    q: tuple = paper.Q3
+    first_row: bool = False
+
+
+# What the prior's worlds drive.
+VARIANTS = {f"ekf_{w}": Variant("ekf", w) for w in W_EKF}
 for _w in W_RHE:
-    VARIANTS[f"rhe_{_w}"] = "rhe", _w, paper.Q3, False
-    VARIANTS[f"q1_{_w}"] = "rhe", _w, paper.Q1, True
-    VARIANTS[f"q2_{_w}"] = "rhe", _w, paper.Q2, True
-OF_PRIOR = tuple(VARIANTS)  # what the prior's worlds drive; the posterior's drive all
-# Each rule for both estimators, and what else is driven: {name: (W of the RHE, of the EKF)}.
-RULES = {
-    "likelihood": ("likelihood", "likelihood"),
-    "consistent": ("consistent", "consistent"),
-    "tracking": ("tracking", "tracking"),
-    "as printed": ("printed", "printed"),
-    "RHE as printed, EKF by likelihood": ("printed", "likelihood"),
-}
-VARIANTS |= {f"ekf_{w}": ("ekf", w, paper.Q3, False) for _, w in RULES.values()}
-VARIANTS |= dict(rhe_tracking=("rhe", "tracking", paper.Q3, False))
+    VARIANTS[f"rhe_{_w}"] = Variant("rhe", _w)
+    VARIANTS[f"q1_{_w}"] = Variant("rhe", _w, paper.Q1, first_row=True)
+    VARIANTS[f"q2_{_w}"] = Variant("rhe", _w, paper.Q2, first_row=True)
 
 
 def scenario(fields, variant, seed):
-    """The Scenario of one drive; it ends with the first row where the variant needs no more."""
-    estimator, w, q, first_row = VARIANTS[variant]
-    noise = noise_of(estimator, w, fields)
-    fields = {name: value for name, value in fields.items() if name not in _NOT_OF_SCENARIO}
-    if first_row:
-        pace_mps = fields["mu_mean"] * fields["speed_mps"]
-        fields = fields | dict(duration_s=round(fields["row_length_m"] / pace_mps, 1))
-    drive = Scenario(**fields, **noise, estimator=estimator, q=q, seed=seed)
-    if estimator == "rhe":
+    """The Scenario of one drive of a Variant in a world, on the field of this seed."""
+    noise = noise_of(variant.estimator, variant.w, fields)
+    of_world = {name: of for name, of in fields.items() if name not in NOT_OF_SCENARIO}
+    if variant.first_row:
+        of_world |= dict(duration_s=duration_s(1.0 - 1e-9, fields))
+    names = dict(estimator=variant.estimator, q=variant.q)
+    drive = Scenario(**of_world | noise | names, seed=seed)
+    if variant.estimator == "rhe":
         return drive
     soil = set_up(drive).terrain
     return dataclasses.replace(drive, terrain=soil, seed=seed + _OTHER_TIME)
 
 
-_NOT_OF_SCENARIO = "sigma_ekf_m", "sigma_ekf_rad"
+NOT_OF_SCENARIO = (
+    "sigma_rhe_m",
+    "sigma_rhe_rad",
+    "sigma_rhe_traction",
+    "sigma_ekf_m",
+    "sigma_ekf_rad",
+    "fitted_rhe",
+    "fitted_ekf",
+)
 _NEVER_S = 6000.0  # a robot that never arrives has settled so late
 _EXCURSION_S = 2.0  # violations that are this far apart are of two excursions
 
@@ -295,29 +396,26 @@ def count_excursions(run, settled_s):
     return int(excursions), float(steps_m[counted[1:]].sum())
 
 
-def drive(fields, first_seed, variants=OF_PRIOR):
-    """Drive worlds, each on FIELDS fields.
+def drive(worlds, first_seed, variants=None, fields=FIELDS):
+    """Drive worlds, each on so many fields.
 
     Args:
-        fields: [of `fields_of`, …], one a world.
+        worlds: [of `fields_of`, …].
         first_seed: Of the first world's first field.
-        variants: Of VARIANTS.
+        variants: {name: Variant}; None: VARIANTS.
+        fields: How many of each world.
 
     Returns:
-        DataFrame, one row a world and field, with columns (variant, what `measured` names); NaN in
-        the fields that Q¹ and Q² do not drive.
+        DataFrame, one row a world and field, with columns (variant, what `measured` names).
     """
-    places = [
-        (world, field, variant)
-        for world in range(len(fields))
-        for variant in variants
-        for field in range(ROW_FIELDS if VARIANTS[variant][3] else FIELDS)
-    ]
+    variants = VARIANTS if variants is None else variants
+    index = pd.MultiIndex.from_product(
+        [range(len(worlds)), range(fields), variants], names=[*_INDEX, "variant"]
+    )
     drives = [
-        scenario(fields[world], variant, first_seed + FIELDS * world + field)
-        for world, field, variant in places
+        scenario(worlds[world], variants[variant], first_seed + fields * world + field)
+        for world, field, variant in index
     ]
-    index = pd.MultiIndex.from_tuples(places, names=["world", "field", "variant"])
     table = pd.DataFrame(map_runs(measured, drives), index)
     return table.unstack("variant").swaplevel(axis=1)
 
@@ -325,74 +423,49 @@ def drive(fields, first_seed, variants=OF_PRIOR):
 # Storage
 
 _INDEX = ["world", "field"]
-# Columns of the files are whole numbers of these steps; those of errors are 2 % of the error.
-_STEPS = dict(near=0.01, peak=0.01, settled=0.4, overshoot=2e-3, row_m=0.5)
-_ON_ROW = ("settled", "overshoot")  # compared with those of Q¹ and Q²
-_MOST = 254  # of one byte; 255 where nothing was driven
-_LEAST_ERROR_M = 5e-3
-_ERROR_STEP = 0.02
+# What is kept of the prior's drives, by the beginning of a variant's name.
 _COUNTED = ("error", "violations", "excursions")
 _KEPT = dict(
     ekf=_COUNTED,
-    rhe=(*_COUNTED, "row_m", "near", "peak", "settled", "overshoot"),
+    rhe=(*_COUNTED, "near", "peak", "settled", "overshoot"),
     q1=("settled",),
     q2=("overshoot",),
 )
 
 
-def pack(table):
-    """A table of `drive` as bytes: errors between 5 mm and 0.8 m to 2 %, the rest by _STEPS."""
-    columns = {}
-    for variant in [name for name in VARIANTS if name in table.columns.unique(0)]:
-        for name in _KEPT[variant.split("_")[0]]:
-            values = table[variant, name]
-            if name in _ON_ROW:
-                values = values.where(table.index.get_level_values("field") < ROW_FIELDS)
-            if name == "error":
-                values = np.log(values / _LEAST_ERROR_M) / _ERROR_STEP
-            else:
-                values = values / _STEPS.get(name, 1)
-            whole = values.round().clip(0, _MOST).fillna(_MOST + 1)
-            columns[f"{variant}.{name}"] = whole.astype("uint8")
-    return pd.DataFrame(columns, table.index)
+def kept(table):
+    """The columns of a table of `drive` that are stored, as 16-bit numbers (three digits)."""
+    columns = [
+        (variant, name)
+        for variant in VARIANTS
+        if variant in table.columns.unique(0)
+        for name in _KEPT[variant.split("_")[0]]
+    ]
+    return table[columns].astype(np.float16)
 
 
-def unpack(table):
-    """The reverse of `pack`, up to rounding."""
-    table = table.where(table <= _MOST).astype(float)
-    table.columns = pd.MultiIndex.from_tuples([tuple(name.split(".")) for name in table.columns])
-    for variant, name in table.columns:
-        if name == "error":
-            table[variant, name] = _LEAST_ERROR_M * np.exp(_ERROR_STEP * table[variant, name])
-        else:
-            table[variant, name] *= _STEPS.get(name, 1)
-    return table
+def write(table, file):
+    """Write a table of `drive`, whose worlds are in order."""
+    flat = table.set_axis([".".join(names) for names in table.columns], axis=1)
+    flat.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
-def _indexed(table):
-    """A table whose rows are worlds in order, FIELDS fields each, with that index."""
+def read(file, fields=FIELDS):
+    """A table of `drive` from a file; each world has so many fields."""
+    table = pd.read_parquet(file).astype(float)
+    columns = pd.MultiIndex.from_tuples([name.split(".") for name in table.columns])
+    return _indexed(table.set_axis(columns, axis=1), fields)
+
+
+def _indexed(table, fields):
+    """A table whose rows are worlds in order, so many fields each, with that index."""
     rows = np.arange(len(table))
-    return table.set_index(pd.MultiIndex.from_arrays([rows // FIELDS, rows % FIELDS], names=_INDEX))
-
-
-def _write(packed, file):
-    packed.to_parquet(file, index=False, compression="zstd", compression_level=19)
+    return table.set_index(pd.MultiIndex.from_arrays([rows // fields, rows % fields], names=_INDEX))
 
 
 def prior_drives():
-    """The drives of the prior's worlds that PRIOR_DRIVES holds, as `drive` returns them."""
-    return unpack(_indexed(pd.read_parquet(PRIOR_DRIVES)))
-
-
-def posterior_drives():
-    """The drives of the posterior's worlds and of its centre, on fields that no other drive used.
-
-    Returns:
-        As `drive`, for the DRAWS worlds of `posterior_table`, and for CENTRE_COPIES of the centre.
-    """
-    drives = unpack(_indexed(pd.read_parquet(POSTERIOR_DRIVES)))
-    rows = DRAWS * FIELDS
-    return drives.iloc[:rows], _indexed(drives.iloc[rows:].reset_index(drop=True))
+    """The drives of the first and second round that PRIOR_DRIVES holds, as of `drive`."""
+    return read(PRIOR_DRIVES)
 
 
 def posterior_table():
@@ -407,9 +480,9 @@ def posterior_worlds():
 
     Returns:
         [{field of Scenario: value}, …], DRAWS of them: soil, sensors, speed, delay, drive, and
-        the free W of the EKF.
+        the free W of both estimators.
     """
-    return posterior_table().drop(columns=["w_rhe", "w_ekf"]).to_dict("records")
+    return posterior_table().drop(columns=["w_rhe", "w_ekf", "world"]).to_dict("records")
 
 
 # Statistics
@@ -427,10 +500,7 @@ def statistics_of(drives, w_rhe, w_ekf, counts="violations"):
     rhe, ekf, q1, q2 = (
         drives[name] for name in (f"rhe_{w_rhe}", f"ekf_{w_ekf}", f"q1_{w_rhe}", f"q2_{w_rhe}")
     )
-    # The table's rows are worlds in order, FIELDS fields each.
-    driven = np.arange(len(drives)) // FIELDS * FIELDS + np.arange(len(drives)) % ROW_FIELDS
-    settled = rhe["settled"].to_numpy()[driven], q1["settled"].to_numpy()[driven]
-    overshoot = (np.maximum(runs["overshoot"].to_numpy()[driven], _FLOOR_M) for runs in (rhe, q2))
+    overshoots = (np.maximum(of["overshoot"], _FLOOR_M) for of in (rhe, q2))
     return np.column_stack(
         [
             np.log(rhe["error"]),
@@ -438,10 +508,9 @@ def statistics_of(drives, w_rhe, w_ekf, counts="violations"):
             np.sqrt(rhe[counts]),
             np.sqrt(ekf[counts]),
             1 - rhe["near"],
-            _falls_short_of_twice(*settled),
-            _falls_short_of_twice(*overshoot),
+            _falls_short_of_twice(rhe["settled"], q1["settled"]),
+            _falls_short_of_twice(*overshoots),
             np.maximum(1 - rhe["peak"], 0),
-            np.log(ekf["error"] / rhe["error"]),
         ]
     )
 
@@ -462,7 +531,7 @@ def meets(statistics):
     return np.abs(statistics - observed()) <= within + 1e-9  # of rounding
 
 
-def simulations(drives, unit, counts="violations", printed=None):
+def simulations(drives, design, counts="violations", printed=0.5):
     """All simulated experiments: each field of each world with each of CHOICES, in that order.
 
     The statistics are scaled by the spread of one drive: the standard deviation over the fields of
@@ -470,10 +539,10 @@ def simulations(drives, unit, counts="violations", printed=None):
 
     Args:
         drives: Of `drive`.
-        unit: (n, d) the worlds' points.
+        design: The Design of the worlds.
         counts: As for `statistics_of`.
         printed: Prior probability that an estimator's W is the printed one, of each estimator by
-            itself. None: all of W_RHE are equally likely, and so are all of W_EKF.
+            itself.
 
     Returns:
         An `abc_regression.Simulations`, with the experiments of one choice of W after the other.
@@ -483,101 +552,131 @@ def simulations(drives, unit, counts="violations", printed=None):
     near = np.all(by_world[..., :2] < np.log(paper.TOLERANCE_M), axis=(2, 3))
     deviations = np.sqrt(by_world[near].var(axis=1, ddof=1).mean(axis=0))
     least = [statement.least_unit for statement in STATEMENTS.values()]
-    worlds = np.repeat(np.arange(len(unit)), FIELDS)
+    worlds = np.repeat(np.arange(len(design.unit)), FIELDS)
     likely = [
         _prior_of(w_rhe, W_RHE, printed) * _prior_of(w_ekf, W_EKF, printed)
         for w_rhe, w_ekf in CHOICES
     ]
     return abc_regression.Simulations(
-        unit,
+        design.unit,
         np.tile(worlds, len(CHOICES)),
         tables.reshape(-1, len(STATEMENTS)),
         np.maximum(deviations, least),
-        np.isin(list(PRIORS), _DISCRETE),
-        np.repeat(likely, len(worlds)),
+        np.isin(UNKNOWNS, list(CHOICES_OF)),
+        np.outer(likely, design.weights[worlds]).ravel(),
     )
 
 
 def _prior_of(w, choices, printed):
     """The prior probability of one of an estimator's choices of W."""
     alike = [name for name in choices if (name in PRINTED) == (w in PRINTED)]
-    if printed is None:
-        return 1 / len(choices)
     return (printed if w in PRINTED else 1 - printed) / len(alike)
 
 
-CHOICES = tuple(itertools.product(W_RHE, W_EKF))  # of W
 _FLOOR_M = 1e-3  # an overshoot below 1 mm counts as 1 mm
 
 
 # The posterior
 
 
-def posterior_draws(table, n=DRAWS, seed=0):
+def posterior_draws(table, n=DRAWS, seed=0, keep=None):
     """Equally likely worlds with their W, given the paper's numbers.
 
     Args:
         table: Of `simulations`.
         n: How many.
         seed: Of the draw.
+        keep: How many of the nearest simulations count; None: KEEP.
 
     Returns:
-        DataFrame of n worlds, by PRIORS; one of their fields (`fields_of`) with the W of each
-        estimator, w_rhe and w_ekf; and the `abc_regression.Draws` that they are from.
+        DataFrame of n worlds, by UNKNOWNS, NaN where a W is not free; one of their fields
+        (`fields_of`) with the W of each estimator, w_rhe and w_ekf, and the `world` of the table
+        that each is from; and the `abc_regression.Draws` that they are from.
     """
-    draws = abc_regression.posterior(table, observed(), KEEP)
+    draws = abc_regression.posterior(table, observed(), keep or KEEP)
     unit, rows = abc_regression.resample(draws, n, np.random.default_rng(seed))
     worlds = worlds_at(unit)
     fields = pd.DataFrame(map(fields_of, worlds.to_dict("records")))
     of_choice = len(table.world) // len(CHOICES)
     w_rhe, w_ekf = zip(*(CHOICES[row // of_choice] for row in rows))
-    return worlds, fields.assign(w_rhe=w_rhe, w_ekf=w_ekf), draws
+    fields = fields.assign(w_rhe=w_rhe, w_ekf=w_ekf, world=table.world[rows])
+    for estimator in ("rhe", "ekf"):
+        names = [name for name in PRIORS if name.startswith(f"sigma_{estimator}")]
+        worlds.loc[fields[f"w_{estimator}"] != "free", names] = np.nan
+    return worlds, fields, draws
 
 
-PRIORS_ON_PRINTED = (None, 0.8, 0.95)
+PRIORS_ON_PRINTED = (0.5, 0.8, 0.95)
+KEPT = (250, 500, 1000, 2000, 4200)  # simulations, in `by_kept`
 
 
-def sensitivity(drives, unit, n=2000, seed=0):
+def sensitivity(drives, design, n=2000, seed=0):
     """What the posterior says of W and of the world, by how 17 is counted and by the prior on W.
 
     Args:
-        drives, unit: As for `simulations`.
+        drives, design: As for `simulations`.
         n: Draws of each posterior.
         seed: Of the draws.
 
     Returns:
-        DataFrame, one row a reading of G17 and one of PRIORS_ON_PRINTED: the probability of each W
-        of the RHE and of the printed one of the EKF, medians with 90 % intervals of a few unknowns,
-        and how many worlds are effectively behind it.
+        DataFrame, one row a reading of G17 and one of PRIORS_ON_PRINTED: as `_summary`.
     """
     rows = {}
     for counts, printed in itertools.product(("violations", "excursions"), PRIORS_ON_PRINTED):
-        table = simulations(drives, unit, counts, printed)
-        worlds, fields, draws = posterior_draws(table, n, seed)
-        row = {f"RHE {w}": f"{np.mean(fields['w_rhe'] == w):.2f}" for w in W_RHE}
-        row["EKF printed"] = f"{np.mean(fields['w_ekf'] == 'printed'):.3f}"
-        worlds = worlds[fields["w_ekf"].to_numpy() == "free"]
-        for name in ("kappa_slip", "slip_difference", "sigma_ekf_m", "sigma_ekf_ratio_radpm"):
-            low, median, high = np.quantile(worlds[name], [0.05, 0.5, 0.95])
-            row[name] = f"{median:.2g} [{low:.2g}, {high:.2g}]"
-        row["effective worlds"] = round(draws.effective_worlds)
-        rows[counts, "flat" if printed is None else f"{printed:.0%} printed"] = row
-    return pd.DataFrame(rows).T.rename_axis(["17 are", "prior on W"])
+        table = simulations(drives, design, counts, printed)
+        rows[counts, f"{printed:.0%}"] = _summary(*posterior_draws(table, n, seed))
+    return pd.DataFrame(rows).T.rename_axis(["17 are", "prior on the printed W"])
+
+
+def by_kept(table, n=2000, seed=0):
+    """What the posterior says of W and of the world, by how many of the simulations are kept.
+
+    Args:
+        table: Of `simulations`.
+        n, seed: As for `sensitivity`.
+
+    Returns:
+        DataFrame, one row for each of KEPT: the largest distance to the paper, in spreads of one
+        drive, and as `_summary`.
+    """
+    rows = {}
+    for keep in KEPT:
+        worlds, fields, draws = posterior_draws(table, n, seed, keep)
+        off = (table.statistics[draws.rows] - observed()) / table.scales
+        distance = np.sqrt(np.square(off).sum(axis=1)).max()
+        rows[keep] = {"largest distance": f"{distance:.2f}"} | _summary(worlds, fields, draws)
+    return pd.DataFrame(rows).T.rename_axis("kept")
+
+
+def _summary(worlds, fields, draws):
+    """Of a posterior: effective worlds, probabilities of choices, medians with 90 % intervals."""
+    row = {"effective worlds": f"{draws.effective_worlds:.0f}"}
+    row |= {f"RHE {w}": f"{np.mean(fields['w_rhe'] == w):.3f}" for w in W_RHE}
+    row["EKF printed"] = f"{np.mean(fields['w_ekf'] == 'printed'):.3f}"
+    row |= {turns: f"{np.mean(worlds['turns'] == turns):.2f}" for turns in CHOICES_OF["turns"][0]}
+    sizes = worlds.assign(slip_difference_size=worlds["slip_difference"].abs())
+    for name in ("mu_slip", "kappa_slip", "slip_difference", "slip_difference_size"):
+        row[name] = _median_text(sizes[name])
+    return row
+
+
+def _median_text(values):
+    """The median of values with the interval of their middle 90 %."""
+    low, median, high = np.quantile(values, [0.05, 0.5, 0.95])
+    return f"{median:.2g} [{low:.2g}, {high:.2g}]"
 
 
 def learned(worlds):
     """What the paper's numbers tell of each unknown, by the worlds of `posterior_draws`.
 
     Returns:
-        DataFrame, one row an unknown: its prior's range, the posterior's median and 90 % interval,
-        `narrowed`, 1 - the 90 % interval's width over the prior's (on the logarithmic scale where
-        the prior is), and the prior's source.
+        DataFrame, one row an unknown with a range: that of its prior, the posterior's median and
+        90 % interval, `narrowed`, 1 - the 90 % interval's width over the prior's (on the
+        logarithmic scale where the prior is), and the prior's source.
     """
     rows = {}
     for name, prior in PRIORS.items():
-        if name in _DISCRETE:
-            continue
-        low, median, high = np.quantile(worlds[name], [0.05, 0.5, 0.95])
+        low, median, high = np.quantile(worlds[name].dropna(), [0.05, 0.5, 0.95])
         scale = np.log if prior.logarithmic else np.asarray
         width = (scale(high) - scale(low)) / (scale(prior.most) - scale(prior.least)) / 0.9
         rows[name] = dict(
@@ -594,25 +693,19 @@ def learned(worlds):
 def centre():
     """One world in the middle of the posterior: the median of each field, rounded.
 
+    A world and its mirror image are equally likely, so of `slip_difference` it is the median of the
+    size: without a hand to tell, its own median is about 0, where few of the worlds are.
+
     Returns:
         {field of Scenario: value} of soil, ground, sensors and speed.
     """
-    medians = posterior_table()[list(_CENTRE_STEPS)].median()
+    table = posterior_table()
+    table = table.assign(slip_difference=table["slip_difference"].abs())
+    medians = table[list(_CENTRE_STEPS)].median()
     steps = medians.index.map(_CENTRE_STEPS)
     # Twice: a multiple of a step such as 0.1 has digits beyond it.
     rounded = ((medians / steps).round() * steps).round(6)
     return rounded.to_dict() | dict(soil_under="tracks")
-
-
-def centre_drive():
-    """Rows, headlands, start and length of the posterior's drive: the median of each field."""
-    names = ["row_length_m", "headland_radius_m", "start_offset_m", "duration_s"]
-    return posterior_table()[names].median().round(1).to_dict()
-
-
-def centre_noise():
-    """The EKF's free W in the middle of the posterior: the medians of its two numbers."""
-    return posterior_table()[[*_NOT_OF_SCENARIO]].median().round(4).to_dict()
 
 
 # What each median is rounded to: finer than the posterior can tell.
@@ -635,33 +728,125 @@ _CENTRE_STEPS = {
 }
 
 
-def shares(statistics, seed=0):
+_RESAMPLES = 1000
+_ENDS = (0.025, 0.975)  # of the bootstrap's medians
+
+
+def beside_the_default(seed=0):
+    """The posterior's median of each field of a world beside the default of Scenario.
+
+    Args:
+        seed: Of the bootstrap over worlds.
+
+    Returns:
+        DataFrame, one row a field: the default, the posterior's median with its 95 % interval
+        (bootstrap over the posterior's worlds), the middle 90 % of the posterior, and in which of
+        its quantiles the default lies.
+    """
+    table = posterior_table()
+    table = table.assign(slip_difference=table["slip_difference"].abs())
+    _, of_world = np.unique(table["world"], return_inverse=True)
+    rng = np.random.default_rng(seed)
+    worlds = of_world.max() + 1
+    # How often each world comes in each resample.
+    counts = rng.multinomial(worlds, np.full(worlds, 1 / worlds), _RESAMPLES)
+    rows = {}
+    for name in _CENTRE_STEPS:
+        values = table[name].to_numpy()
+        order = np.argsort(values)
+        weights = np.cumsum(counts[:, of_world[order]], axis=1)
+        medians = values[order][np.argmax(weights >= weights[:, -1:] / 2, axis=1)]
+        low, high = np.quantile(medians, _ENDS)
+        default = getattr(Scenario(), name)
+        rows[name] = dict(
+            default=default,
+            median=np.median(values),
+            low=low,
+            high=high,
+            p5=np.quantile(values, 0.05),
+            p95=np.quantile(values, 0.95),
+            quantile=np.mean(values < default),
+        )
+    return pd.DataFrame(rows).T.rename_axis("field")
+
+
+def middle_worlds():
+    """Two worlds with a drive of median rows, headlands, start and length, turning to both sides.
+
+    Returns:
+        {"default": fields, "centre": fields}: the world of Scenario and `centre`, with the medians
+        of the free W.
+    """
+    table = posterior_table()
+    drive = table[["row_length_m", "headland_radius_m", "duration_s"]].median().round(1).to_dict()
+    drive["start_offset_m"] = float(table["start_offset_m"].abs().median().round(1))
+    free = {}
+    for estimator in ("rhe", "ekf"):
+        names = [name for name in NOT_OF_SCENARIO if name.startswith(f"sigma_{estimator}")]
+        of_free = table[table[f"w_{estimator}"] == "free"]
+        free |= of_free[names].median().round(4).to_dict()
+    of_world = centre()
+    default = {name: getattr(Scenario(), name) for name in of_world}
+    return {name: of | drive | free for name, of in dict(default=default, centre=of_world).items()}
+
+
+def drive_posterior():
+    """Drive the posterior's worlds, and COPIES of each of `middle_worlds`, on unused fields."""
+    middle = [world for world in middle_worlds().values() for _ in range(COPIES)]
+    return kept(drive([*posterior_worlds(), *middle], UNUSED_SEED))
+
+
+def posterior_drives():
+    """The drives that POSTERIOR_DRIVES holds.
+
+    Returns:
+        {"posterior", "default", "centre": as of `drive`}, for the worlds of `posterior_table`, and
+        for COPIES of each of `middle_worlds`.
+    """
+    drives = read(POSTERIOR_DRIVES)
+    ends = np.cumsum([0, DRAWS, COPIES, COPIES]) * FIELDS
+    names = ("posterior", "default", "centre")
+    return {name: drives.iloc[ends[k] : ends[k + 1]] for k, name in enumerate(names)}
+
+
+def shares(statistics, effective=None, fields=FIELDS):
     """How often one drive gives what the paper states.
 
     Args:
         statistics: (n, k), the fields of each world next to each other, or (m, n, k) if each world
             was driven with m choices of W.
-        seed: Of the bootstrap.
+        effective: How many worlds are effectively behind it, for the intervals; None: all.
+        fields: How many each world was driven on.
 
     Returns:
         DataFrame, one row for each of STATEMENTS, one for the four numbers together and one for all
-        statements: the share of drives that meet it with a 95 % interval (bootstrap over worlds),
-        and the share of worlds, with one W each, in which at least one of the FIELDS drives does.
+        statements: the share of drives that meet it with a 95 % interval (`effective_share`),
+        where the drives of a world count as one.
     """
     flags = _with_totals(meets(statistics))
-    by_world = flags.reshape(-1, flags.shape[-2] // FIELDS, FIELDS, flags.shape[-1])
-    of_drives = by_world.mean(axis=(0, 2))
-    of_worlds = by_world.any(axis=2).mean(axis=0)
-    worlds = len(of_drives)
-    # How often each world comes in each resample.
-    counts = np.random.default_rng(seed).multinomial(
-        worlds, np.full(worlds, 1 / worlds), _RESAMPLES
-    )
-    table = {}
-    for name, values in dict(drives=of_drives, worlds=of_worlds).items():
-        low, high = np.quantile(counts @ values / worlds, _ENDS, axis=0)
-        table |= {name: values.mean(axis=0), f"{name}_low": low, f"{name}_high": high}
-    return pd.DataFrame(table, _statement_texts()).rename_axis("statement")
+    of_drives = flags.reshape(-1, flags.shape[-1]).mean(axis=0)
+    n = effective or flags.shape[-2] / fields
+    rows = [effective_share(value, n) for value in of_drives]
+    return pd.DataFrame(
+        rows, _statement_texts(), ["drives", "drives_low", "drives_high"]
+    ).rename_axis("statement")
+
+
+def effective_share(value, n):
+    """A share with Clopper and Pearson's 95 % interval, n the effective number of trials.
+
+    Clopper and Pearson's ends are quantiles of beta distributions, which need no whole numbers.
+    """
+    tail = (1 - CONFIDENCE) / 2
+    low = stats.beta.ppf(tail, value * n, (1 - value) * n + 1) if value else 0.0
+    high = stats.beta.ppf(1 - tail, value * n + 1, (1 - value) * n) if value < 1 else 1.0
+    return value, low, high
+
+
+def effective_number(worlds):
+    """Kish's effective number of different worlds among draws, given the world of each."""
+    counts = np.unique(worlds, return_counts=True)[1]
+    return counts.sum() ** 2 / np.square(counts).sum()
 
 
 def _with_totals(flags):
@@ -675,139 +860,96 @@ def _statement_texts():
     return [*texts, "the four numbers together", "all statements together"]
 
 
-_RESAMPLES = 1000
-_ENDS = (0.025, 0.975)  # of the bootstrap's means
-
-
-def statistics_with_own_w(drives, worlds):
+def statistics_with_own_w(drives, worlds, fields=FIELDS):
     """Statistics (n, k) of the drives of worlds that have a W each (`posterior_draws`)."""
     tables = {choice: statistics_of(drives, *choice) for choice in CHOICES}
     own = zip(worlds["w_rhe"], worlds["w_ekf"])
     parts = [
-        tables[choice][FIELDS * world : FIELDS * (world + 1)] for world, choice in enumerate(own)
+        tables[choice][fields * world : fields * (world + 1)] for world, choice in enumerate(own)
     ]
     return np.concatenate(parts)
-
-
-def by_rule(drives):
-    """RHE and EKF side by side in the drives of worlds, with the W of each of RULES.
-
-    Args:
-        drives: Of `drive` with all VARIANTS.
-
-    Returns:
-        DataFrame, one row a rule: means over all drives of both errors [m], of violations and of
-        excursions on 100 m of row, with 95 % intervals over worlds; the share of drives, and of
-        worlds in the mean, in which the RHE's error is the smaller, and of those in which its
-        violations are fewer (Clopper and Pearson's interval of the share of worlds).
-    """
-    rows = {}
-    for rule, (w_rhe, w_ekf) in RULES.items():
-        both = {"RHE": drives[f"rhe_{w_rhe}"], "EKF": drives[f"ekf_{w_ekf}"]}
-        row_m = drives[f"rhe_{w_rhe}"]["row_m"].groupby("world").sum()
-        row = {}
-        for name, of in both.items():
-            by_world = of.groupby("world")
-            row[f"error, {name} [m]"] = interval_text(
-                *statistics.over_seeds(np.mean, by_world["error"].mean())[:3]
-            )
-            for counts in ("violations", "excursions"):
-                per_row = 100 * by_world[counts].sum() / row_m.where(row_m > 0)
-                row[f"{counts} in 100 m, {name}"] = interval_text(
-                    *statistics.over_seeds(np.mean, per_row)[:3]
-                )
-        for column, words in (("error", "error"), ("violations", "violations")):
-            rhe, ekf = (of[column] for of in both.values())
-            means = [of.groupby("world").mean() for of in (rhe, ekf)]
-            worlds = statistics.share(means[0] < means[1])
-            row[f"drives with less {words}"] = f"{np.mean(rhe < ekf):.3f}"
-            row[f"worlds with less {words}"] = interval_text(worlds.value, worlds.low, worlds.high)
-        rows[rule] = row
-    return pd.DataFrame(rows).T.rename_axis("rule for W")
 
 
 def truths(table, n, rng, near=None):
     """At most n rows of `simulations` to check the method on, each of another world.
 
-    They are chosen of all, or of those of the `abc_regression.Draws` near.
+    They are chosen as the prior has them, of all, or of those of the `abc_regression.Draws` near.
     """
-    rows = rng.permutation(len(table.world) if near is None else near.rows)
+    rows = np.arange(len(table.world)) if near is None else near.rows
+    # Exponential races: the first n are a draw without replacement by the prior's weights.
+    rows = rows[np.argsort(rng.exponential(size=len(rows)) / table.prior[rows])]
     _, first = np.unique(table.world[rows], return_index=True)
-    return rng.permutation(rows[first])[:n]
+    return rows[np.sort(first)[:n]]
 
 
 def repeated(worlds):
-    """Drive some worlds of the prior again, by their numbers, and compare with PRIOR_DRIVES.
+    """Drive some worlds of the table again, by their numbers, and compare with PRIOR_DRIVES.
 
     Returns:
-        DataFrame, one row a world: how many numbers were compared, how many differ, and by how many
-        of their steps at most.
+        DataFrame, one row a world: how many numbers were compared, how many differ, and by which
+        share at most.
     """
-    stored = pd.read_parquet(PRIOR_DRIVES)
-    unit = sample_unit(len(stored) // FIELDS)
+    stored = prior_drives()
+    design = both_rounds(stored)
     rows = []
     for world in worlds:
-        fields = fields_of(worlds_at(unit[[world]]).iloc[0])
-        now = pack(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(int)
-        then = stored.iloc[FIELDS * world : FIELDS * (world + 1)].to_numpy(int)
-        off = np.abs(now - then)
-        rows.append(dict(numbers=off.size, different=np.sum(off > 0), steps=off.max()))
+        fields = fields_of(worlds_at(design.unit[[world]]).iloc[0])
+        now = kept(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(float)
+        then = stored.loc[[world]].to_numpy()
+        off = np.abs(now - then) / np.maximum(np.abs(then), 1e-3)
+        rows.append(dict(numbers=off.size, different=np.sum(off > 0), most=off.max()))
     return pd.DataFrame(rows, pd.Index(worlds, name="world"))
 
 
 # Making the files
 
 
-def drive_prior(n, folder):
-    """Packed rows of the first n worlds of the prior, driven in blocks that a folder keeps.
+def drive_round(unit, first_world, folder):
+    """Drive worlds at points (n, d) between 0 and 1, in blocks that a folder keeps.
 
-    Blocks of other code, versions or priors are left alone.
+    Blocks of other worlds, code or versions are left alone.
+
+    Args:
+        unit: The points.
+        first_world: Number of the first, which fixes its seeds.
+        folder: Of the blocks.
+
+    Returns:
+        As `kept`.
     """
-    ranges = {name: prior[:3] for name, prior in PRIORS.items()}
-    variants = {name: VARIANTS[name] for name in OF_PRIOR}
-    design = repr((ranges, variants, W_RHE, tuning.SIGMA_W, _KEPT)).encode()
-    design = hashlib.sha256(design).hexdigest()[:16]
-    folder = store.open_folder(folder) / design
-    folder.mkdir(exist_ok=True)
+    folder = store.open_folder(folder)
     blocks = []
-    # Blocks are whole, so that a longer campaign can go on with them.
-    every = sample_unit(-(-n // _BLOCK) * _BLOCK)
-    for first in range(0, n, _BLOCK):
-        file = folder / f"{first:06d}.parquet"
+    for first in range(0, len(unit), _BLOCK):
+        of_block = unit[first : first + _BLOCK]
+        worlds = [*map(fields_of, worlds_at(of_block).to_dict("records"))]
+        design = repr((worlds, VARIANTS, W_RHE, _KEPT, FIELDS)).encode()
+        number = first_world + first
+        file = folder / f"{number:06d}_{hashlib.sha256(design).hexdigest()[:16]}.parquet"
         if not file.exists():
-            unit = every[first : first + _BLOCK]
-            fields = [*map(fields_of, worlds_at(unit).to_dict("records"))]
-            packed = pack(drive(fields, FIRST_SEED + FIELDS * first))
-            unfinished = file.with_suffix(".unfinished")
-            _write(packed, unfinished)
-            unfinished.replace(file)
-            print(f"worlds {first} to {first + len(unit) - 1}", flush=True)
-        blocks.append(pd.read_parquet(file))
-    return _indexed(pd.concat(blocks, ignore_index=True).iloc[: n * FIELDS])
-
-
-def drive_posterior():
-    """Drive the posterior's worlds and copies of its centre; packed rows (`posterior_drives`)."""
-    middle = centre() | centre_drive() | centre_noise()
-    worlds = [*posterior_worlds(), *[middle] * CENTRE_COPIES]
-    return pack(drive(worlds, _UNUSED_SEED, tuple(VARIANTS)))
+            table = kept(drive(worlds, FIRST_SEED + FIELDS * number))
+            with replacing(file) as unfinished:
+                write(table, unfinished)
+            print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
+        blocks.append(read(file))
+    return _indexed(pd.concat(blocks), FIELDS)
 
 
 def main():
-    """Drive the worlds, find the posterior, drive it, and write all three files."""
+    """Drive the worlds of both rounds, and write them and the posterior's."""
     parser = argparse.ArgumentParser(
         "python -m notebooks.studies.which_worlds", description=__doc__
     )
-    parser.add_argument("--worlds", type=int, default=WORLDS, help=f"of the prior ({WORLDS})")
-    parser.add_argument("--folder", type=Path, default=Path("build/inverse"), help="of the blocks")
-    options = parser.parse_args()
-    if not 1 <= options.worlds <= _MOST_WORLDS:
-        parser.exit(2, f"--worlds was {options.worlds}; it should be 1 to {_MOST_WORLDS}\n")
-    _write(drive_prior(options.worlds, options.folder), PRIOR_DRIVES)
-    table = simulations(prior_drives(), sample_unit(options.worlds))
-    _, fields, draws = posterior_draws(table)
+    parser.add_argument(
+        "--folder", type=pathlib.Path, default=pathlib.Path("build/inverse"), help="of the blocks"
+    )
+    folder = parser.parse_args().folder
+    first = drive_round(first_round().unit, 0, folder)
+    design = both_rounds(first)
+    second = drive_round(design.unit[FIRST_ROUND:], FIRST_ROUND, folder)
+    write(pd.concat([first, second]).astype(np.float16), PRIOR_DRIVES)
+    _, fields, draws = posterior_draws(simulations(prior_drives(), design))
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
-    _write(drive_posterior(), POSTERIOR_DRIVES)
+    write(drive_posterior(), POSTERIOR_DRIVES)
     print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
 
 

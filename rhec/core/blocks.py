@@ -3,7 +3,8 @@
 In one sample the blocks act in their order. A signal that is read before any block has written it
 comes from outside: it is *remembered*, with its value of one sample ago; or *drawn*, from a stream
 with a new value for each sample; or else a *setting*, which stays the same over a run. So a block
-more or less changes nothing else, and what is compiled is named by the blocks themselves.
+more or less changes nothing else, and what is compiled is named by the blocks themselves. A Part
+is a block with the first values, settings and streams that it needs.
 
     blocks = (
         Block(build_plant, (0.1,), remembers=("x",), draws=("noise",)),
@@ -15,9 +16,12 @@ more or less changes nothing else, and what is compiled is named by the blocks t
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import casadi as ca
 
+from rhec.core import wiring
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import OPTIONS, casadi_function, packed_size, unpack
 
@@ -76,13 +80,53 @@ class Block:
         """Its Function, built once in a process."""
         return _built(compiled.loop_symbols(), self.build, self.arguments)
 
-    def inputs(self):
-        """{input: signal} of its Function, in order."""
-        return {name: self.reads.get(name, name) for name in self.function.name_in()}
+    @property
+    def wired(self) -> wiring.Wired:
+        """Its Function, and the signals that this reads and writes."""
+        return wiring.wired(self.function, self.reads, self.writes)
 
-    def results(self):
-        """{result: signal} of its Function, in order."""
-        return {name: self.writes.get(name, name) for name in self.function.name_out()}
+
+class Part(NamedTuple):
+    """A Block, and what it brings along, so that nobody else has to know its inside."""
+
+    block: Block
+    first: Mapping[str, Any] = MappingProxyType({})  # {remembered signal: its first value}
+    settings: Mapping[str, Any] = MappingProxyType({})  # {setting: value}
+    # {drawn signal: function of (seed, samples, faults) that returns its rows (samples, n)}
+    streams: Mapping[str, Callable] = MappingProxyType({})
+
+
+def brought(parts, what) -> dict:
+    """What all Parts bring: their "first", "settings" or "streams", by name.
+
+    Raises:
+        ValueError: If two parts bring one name along.
+    """
+    found: dict = {}
+    for part in parts:
+        brings = getattr(part, what)
+        twice = found.keys() & brings.keys()
+        if twice:
+            raise ValueError(f"two parts bring {min(twice)!r} among their {what}")
+        found |= brings
+    return found
+
+
+def block_of(
+    build,
+    *arguments,
+    reads=MappingProxyType({}),
+    writes=MappingProxyType({}),
+    remembers=(),
+    draws=(),
+) -> Block:
+    """A Block, made once for its arguments: loops that are equal then share theirs."""
+    return _block(build, arguments, tuple(reads.items()), tuple(writes.items()), remembers, draws)
+
+
+@functools.lru_cache(maxsize=1024)
+def _block(build, arguments, reads, writes, remembers, draws):
+    return Block(build, arguments, dict(reads), dict(writes), remembers, draws)
 
 
 # Loops that differ in one block share the others, which take a third of a second to build.
@@ -135,8 +179,11 @@ def sample(blocks, settings, row, others=()):
     Raises:
         ValueError: If a signal comes from nowhere, or is remembered or drawn in vain; one sentence.
     """
-    outside = _read_from_outside(blocks)
-    written = {signal: block for block in blocks for signal in block.results().values()}
+    parts = [block.wired for block in blocks]
+    outside = {}
+    for place, (function, name) in wiring.outside(parts).items():
+        outside.setdefault(place.removesuffix(_LAST), (function.size_in(name), function.name()))
+    written = {signal for part in parts for signal in part.writes.values()}
     memory = {name: _outside(outside, name, "remembers") for name in remembered(blocks)}
     stream = {name: _outside(outside, name, "draws") for name in drawn(blocks)}
     for name in memory:
@@ -145,7 +192,7 @@ def sample(blocks, settings, row, others=()):
     constant = {name: shape for name, (shape, _) in outside.items() if name not in memory | stream}
     for name in constant:
         if name not in settings:
-            reader = outside[name][1].function.name()
+            reader = outside[name][1]
             raise ValueError(f"no block before {reader!r} writes {name!r}, and it is no setting")
     symbols = {name: ca.MX.sym(name, *shape) for name, shape in constant.items()}
     packed = dict(
@@ -155,9 +202,7 @@ def sample(blocks, settings, row, others=()):
     last = unpack(packed["memory"], memory)
     signals = symbols | unpack(packed["noise"], stream) | last
     signals |= {name + _LAST: value for name, value in last.items()}
-    for block in blocks:
-        results = block.function.call([signals[name] for name in block.inputs().values()])
-        signals |= dict(zip(block.results().values(), results))
+    signals = wiring.evaluated(parts, signals)
     results = dict(
         memory=ca.veccat(*(signals[name] for name in memory)),
         row=ca.veccat(*(signals[name] for name in row)),
@@ -168,20 +213,6 @@ def sample(blocks, settings, row, others=()):
     outputs = [ca.densify(value) for value in results.values()]
     names = [*inputs], [*results]
     return ca.Function("sample", [*inputs.values()], outputs, *names, OPTIONS[ca.MX])
-
-
-def _read_from_outside(blocks):
-    """{signal: (shape, block that reads it)} of what is read before any block has written it."""
-    found = {}
-    known = set()
-    for block in blocks:
-        for name, signal in block.inputs().items():
-            signal = signal.removesuffix(_LAST)
-            is_last = block.reads.get(name, name).endswith(_LAST)
-            if is_last or signal not in known:
-                found.setdefault(signal, (block.function.size_in(name), block))
-        known.update(block.results().values())
-    return found
 
 
 def _outside(outside, name, verb):

@@ -30,6 +30,7 @@ class OwnStep:
     step: ca.Function
     memory: Sequence[float] = ()
 
+    _carried: ClassVar[tuple] = ()  # names of further attributes that another process needs
     signals: ClassVar[dict]
     results: ClassVar[dict]
 
@@ -69,22 +70,28 @@ class OwnStep:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return (self.key, self.memory) == (other.key, other.memory)
+        return self._state == other._state
 
     def __hash__(self) -> int:
-        return hash((self.key, self.memory))
+        return hash(self._state)
+
+    @property
+    def _state(self):
+        """All that tells it from others."""
+        return self.key, self.memory
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.step.name()!r}, memory of {len(self.memory)})"
 
     # The text travels, because CasADi may write a Function that it has read in another way.
     def __reduce__(self):
-        return _restored, (type(self), self.key, self.memory)
+        others = {name: getattr(self, name) for name in self._carried}
+        return _restored, (type(self), self.key, self.memory, others)
 
 
-def _restored(own_class, key, memory):
+def _restored(own_class, key, memory, others):
     own = object.__new__(own_class)
-    vars(own).update(step=ca.Function.deserialize(key), memory=memory, key=key)
+    vars(own).update(others, step=ca.Function.deserialize(key), memory=memory, key=key)
     return own
 
 

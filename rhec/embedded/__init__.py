@@ -8,10 +8,9 @@ a Scenario, and search.h, search.c, replay_log.c of a log.
 64-bit Arm.
 """
 
+import contextlib
 import dataclasses
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +21,11 @@ from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
 from rhec.embedded import c_writer, phases, recorded
+from rhec.files import UNFINISHED, replacing
 from rhec.logs.summary import Summary
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
-from rhec.tracked_robot.choice import TractionInput
 from rhec.tracked_robot.estimators import NAMES, estimator_of
 from rhec.tracked_robot.rhe import SIGMA_START
 
@@ -36,12 +35,12 @@ FOLDER = Path("build", "embedded")
 LOG = [*MEASUREMENTS, *ESTIMATE, *COMMAND]  # columns of the example log, without sensors
 _LOG_S = 60.0  # length of the example log, at most
 _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions without a library in C
-_EXPORTED = TractionInput.NONE, TractionInput.FIELD_MEAN  # the others need the truth
-_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback", yaw_rate_interval="before")
+# Of what an estimator may be told, what no robot can know.
+_TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="truth")
+_EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
 _OF_SCENARIO = "replay.c", "times.c", "fuzz.c"  # the last two need its controller
 _OF_LOG = "search.h", "search.c", "replay_log.c"
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
-_UNFINISHED = ".unfinished-"  # begins the name of a folder that an interrupted export may leave
 
 
 def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool = False) -> Path:
@@ -86,17 +85,13 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool =
 
 
 def _write(folder, texts):
-    """Write files into a folder; all are written before the first one is replaced.
-
-    This happens inside the folder, because it may be the root of another file system, across which
-    nothing can be renamed.
-    """
+    """Write files into a folder; all are written before the first one is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as unfinished:
+    with contextlib.ExitStack() as files:
         for name, text in texts.items():
-            Path(unfinished, name).write_text(text, encoding="utf-8")
-        for name in texts:
-            os.replace(Path(unfinished, name), folder / name)
+            unfinished = files.enter_context(replacing(folder / name))
+            unfinished.write(text.encode())
+            unfinished.flush()
 
 
 def _of_model(parts):
@@ -111,7 +106,7 @@ def _of_model(parts):
         )
     if len(by_name) == 2:
         rhe = by_name["rhe"].window
-        rhc = by_name["rhc"].problem
+        rhc = by_name["rhc"].stages
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
     export = phases.export_model(**by_name)
@@ -197,11 +192,8 @@ def _check(scenario, estimator_only):
 def _obstacle(estimator):
     """Why an estimator cannot be exported; "" if it can."""
     described = estimator_of(estimator)
-    if described.traction_input not in _EXPORTED:
-        return f"which needs the {described.traction_input.value}"
-    if described.has_yaw_drift:
-        return "whose yaw drift the exported controller does not cancel"
-    return ""
+    unknown = [_TRUTHS[name] for name in described.told if name in _TRUTHS]
+    return f"which needs the {' and the '.join(unknown)}" if unknown else ""
 
 
 def _check_controller(scenario):
@@ -229,7 +221,7 @@ def _check_folder(folder):
 def _has_other_files(folder):
     # The root of a file system may have a folder for what its repair finds.
     names = {file.name for file in folder.iterdir()} - {"lost+found"}
-    return any(not name.startswith(_UNFINISHED) for name in names)
+    return any(not name.startswith(UNFINISHED) for name in names)
 
 
 def _refuse_folders(folder, names):

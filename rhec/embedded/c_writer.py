@@ -41,7 +41,7 @@ _MEANING_ON_A_PATH = _MEANING | {
     "upper": "upper bound of the command omega [rad/s]",
     "m_0": "state of a restart where the model has no slopes",
     "P_0": "variances of a restart",
-    "traction": "constant mu, kappa of the estimator",
+    "mean_traction": "constant mu, kappa of the estimator",
 }
 # CasADi branches on flags by a cast to int, which C leaves undefined for numbers that no int can
 # hold. A flag is one only if memory was overwritten. The comparison is defined for all numbers, and

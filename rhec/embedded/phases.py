@@ -23,13 +23,14 @@ from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.solver.pivoting import MAX_SWEEPS
 from rhec.core.solver.rti import IMPROVE
+from rhec.core.wiring import in_two_memories, renamed, wired
 from rhec.simulation import closed_loop
-from rhec.tracked_robot import path
+from rhec.tracked_robot import path, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 from rhec.tracked_robot.rhe import init as window_init_by_name
 from rhec.tracked_robot.sensors import OUTPUTS
 
@@ -44,6 +45,8 @@ _SHARED = dict(
     covariance="estimator.covariance",
     estimate="estimate",
     command="omega",
+    yaw_drift="estimator.yaw_drift",
+    disturbance="path.disturbance",
     s_next="path.s_next",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
@@ -54,14 +57,6 @@ _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
 _MOVED = dict(z_N="estimator.moved", estimate="estimate")  # before it is the measurement
 # In the order of a sample; `improve` prepares a controller's first plan.
 _PHASES = "start", "expand", "shift", "linearise", "feedback", "improve"
-
-
-class _Phase(NamedTuple):
-    """A Function, and the places of its arguments and results in the C memory, in order."""
-
-    function: ca.Function
-    reads: dict  # {argument: place}
-    writes: dict  # {result: place}
 
 
 class _Start(NamedTuple):
@@ -87,7 +82,7 @@ class Recorded(NamedTuple):
 class Export(NamedTuple):
     """The content of the generated C."""
 
-    phases: dict  # {name in C: _Phase}
+    phases: dict  # {name in C: Wired, at places in the C memory}
     memory: dict  # {place in struct rhec: number of doubles}
     settings: dict  # {name: matrix}
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
@@ -107,10 +102,9 @@ def export(scenario, estimator_only=False):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator)
-    # An EKF receives the same traction as in the closed loop.
-    traction = estimator.traction_input.select_traction(setup.settings["mean_traction"], None)
-    settings = setup.settings | dict(traction=traction, length_m=setup.path.length_m)
-    horizon = horizon_of(scenario.prediction_horizon)
+    settings = setup.settings | dict(length_m=setup.path.length_m)
+    del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
+    stages = stages_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
@@ -126,7 +120,10 @@ def export(scenario, estimator_only=False):
     phases = _bind_all("estimator", start, estimate, settings, _SHARED)
     has_gate = "rejected" in estimate["shift"].name_in()
     most = patience(choice.estimation_horizon) if has_gate else 0
-    macros = _macros_on_a_path(scenario, horizon.dt_s, most)
+    macros = _macros_on_a_path(scenario, stages.dt_s, most)
+    has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
+    if has_yaw_drift:
+        macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
     covered = estimator.states(choice) if "covariance" in estimate["feedback"].name_out() else ()
     variances = _variances(QUANTITIES, covered)
     if estimator_only:
@@ -137,16 +134,19 @@ def export(scenario, estimator_only=False):
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
-        return plan_init(horizon, pose, speed_and_traction)
+        return plan_init(stages, pose, speed_and_traction)
 
-    control = build_controller(horizon)
-    references = build_references(horizon.dt_s, horizon.N, n_segments, scenario.input_reference)
+    control = build_controller(stages)
+    if has_yaw_drift:
+        control = control | dict(feedback=_with_moved_bounds(control["feedback"]))
+    references = build_references(stages.dt_s, stages.N, n_segments, scenario.input_reference)
     reports_accepted = "accepted" in estimate["feedback"].name_out()
-    follow = _build_follow(references, reports_accepted, len(_measured(scenario)))
+    n_z = len(_measured(scenario))
+    follow = _build_follow(references, reports_accepted, n_z, has_yaw_drift)
     start = _Start(first_plan, "estimate", n)
     phases |= _bind_all("controller", start, control, settings, _SHARED)
     for name, function in dict(closest=closest(n_segments), follow=follow).items():
-        phases[f"path_{name}"] = _bind(function, name, "path", {}, settings, _SHARED)
+        phases[f"path_{name}"] = _in_struct(wired(function), "path", (), settings, _SHARED)
     return _export(phases, settings, setup.guess, macros, variances)
 
 
@@ -175,8 +175,8 @@ def export_recorded(recorded):
     phases = _bind_all(
         "estimator", start, build_estimator(window), settings, _SHARED_BY_MODEL
     ) | dict(
-        estimator_first=_bind(first, "first", "estimator", {}, settings, _SHARED_BY_MODEL),
-        estimator_move=_bind(recorded.move, "move", "estimator", {}, settings, _MOVED),
+        estimator_first=_in_struct(wired(first), "estimator", (), settings, _SHARED_BY_MODEL),
+        estimator_move=_in_struct(wired(recorded.move), "estimator", (), settings, _MOVED),
     )
     macros = dict(
         DT_S=(window.dt_s, "time between samples [s]"),
@@ -225,8 +225,8 @@ def _macros_on_a_path(scenario, dt_s, rejected):
 
 def export_model(rhe=None, rhc=None):
     """Return the Export of the RHE, the RHC or both of a Model."""
-    model = rhe.model if rhe else rhc.problem.model
-    dt_s = rhe.window.dt_s if rhe else rhc.problem.dt_s
+    model = rhe.model if rhe else rhc.stages.model
+    dt_s = rhe.window.dt_s if rhe else rhc.stages.dt_s
     macros = dict(DT_S=(dt_s, "time between samples [s]"))
     for name in ("states", "inputs", "parameters", "outputs"):
         names = getattr(model, name)
@@ -249,8 +249,8 @@ def export_model(rhe=None, rhc=None):
     if rhc:
         n_x = len(model.states)
         settings |= rhc.settings
-        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.problem.n_s)
-        control = build_controller(rhc.structure)
+        start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.stages.n_s)
+        control = build_controller(rhc.stages)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
         macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
@@ -277,40 +277,29 @@ def _export(phases, settings, guess, macros, variances=()):
 
 
 def _bind_all(owner, start, functions, settings, shared):
-    """Return {name in C: _Phase} of the phases of an owner, including its start."""
+    """Return {name in C: Wired} of the phases of an owner, including its start."""
     shift = functions["shift"]
     memory = {name: shift.size_in(name) for name in shift.name_in() if name in shift.name_out()}
     functions = functions | dict(start=_build_start(f"rhec_{owner}_start", start, memory))
+    parts = in_two_memories(functions, memory)
     return {
-        f"{owner}_{name}": _bind(functions[name], name, owner, memory, settings, shared)
+        f"{owner}_{name}": _in_struct(parts[name], owner, memory, settings, shared)
         for name in _PHASES
-        if name in functions
+        if name in parts
     }
 
 
-def _bind(function, phase, owner, memory, settings, shared):
-    """Return a phase with its places.
+def _in_struct(part, owner, memory, settings, shared):
+    """Return a Wired phase with its places in the C memory."""
 
-    Memory exists twice, as in `rti.RealTimeIteration`: `shift` reads `previous` and writes
-    `current`; all other phases read `current` and write `previous`.
-    """
-
-    def place(name, version):
-        if name in memory:
-            return f"{owner}.{version}.{name}"
+    def place_of(name):
+        if name.partition(".")[2] in memory:
+            return f"{owner}.{name}"
         if name in settings:
             return f"settings->{name}"
         return shared.get(name, f"{owner}.{name}")
 
-    if phase == "shift":
-        read = "previous"
-        written = "current"
-    else:
-        read = "current"
-        written = "previous"
-    reads = {name: place(name, read) for name in function.name_in()}
-    writes = {name: place(name, written) for name in function.name_out()}
-    return _Phase(function, reads, writes)
+    return renamed(part, place_of)
 
 
 def _build_start(name, start, shapes):
@@ -395,29 +384,50 @@ def _place_on_segment(dx, dy, theta, curvature):
     return ca.if_else(curvature == 0, along, arc)
 
 
-def _build_follow(references, reports_accepted, n_z):
+def _with_moved_bounds(feedback):
+    """The controller's feedback phase with the input `disturbance`, by which its bounds move."""
+    move = yaw_disturbance.moved_bounds()
+    shapes = {name: feedback.sparsity_in(name) for name in feedback.name_in()}
+
+    @casadi_function("rhc_feedback_moved", ca.MX, **shapes, disturbance=(1, 1))
+    def moved(lower, upper, disturbance, **inputs):
+        return feedback(**inputs, **move(lower=lower, upper=upper, disturbance=disturbance))
+
+    return moved
+
+
+def _build_follow(references, reports_accepted, n_z, has_yaw_drift):
     """Return the Function of the references, starting at the last arc length.
 
     The reference yaw rate is the measured one or, if that is missing or rejected, the last command.
     reports_accepted: Whether the estimator reports which measurements it accepted.
     n_z: Length of a measurement.
+    has_yaw_drift: Whether the estimator has the yaw drift, whose disturbance counts in then.
     """
     shapes = {name: references.size_in(name) for name in references.name_in()}
     del shapes["omega_measured"]
     shapes |= dict(z_N=(n_z, 1), command=(1, 1))
     if reports_accepted:
         shapes["accepted"] = (len(MEASURED), 1)
+    if has_yaw_drift:
+        shapes |= dict(yaw_drift=(1, 1), upper=(1, 1))
+    counted_in = yaw_disturbance.counted_in()
     omega = MEASURED.index("omega")
     limit = SPEED_MODELS["parameter"].model.limits[omega]
 
     @casadi_function("rhec_follow", ca.MX, **shapes)
-    def follow(z_N, command, accepted=None, **inputs):
+    def follow(z_N, command, accepted=None, yaw_drift=None, upper=None, **inputs):
         is_used = is_valid_measurement(z_N[omega], limit)
         if reports_accepted:
             is_used = accepted[omega]
         omega_measured = ca.if_else(is_used, z_N[omega], command)
+        disturbance = {}
+        if has_yaw_drift:
+            given = dict(estimate=inputs["estimate"], yaw_drift=yaw_drift, upper=upper)
+            disturbance = counted_in(**given, omega_measured=omega_measured)
+            omega_measured = disturbance.pop("omega_measured")
         target = references(**inputs, omega_measured=omega_measured)
-        return dict(s_next=target.pop("s")) | target
+        return dict(s_next=target.pop("s")) | target | disturbance
 
     return follow
 

@@ -71,22 +71,14 @@ def _fault(duration_s, **settings):
 
 
 # {name in Scenario: label}
-ESTIMATORS = {
-    "rhe": "RHE",
-    "ekf": "EKF",
-    "yaw_drift_ekf": "yaw-drift EKF",
-    "oracle": "oracle",
-    "traction_oracle": "traction oracle",
-}
-PROCESS_NOISES = (
-    ("usual", None),
-    *((name, name) for name in ("printed", "likelihood", "consistent")),
-    ("custom", "custom"),
-)
+ESTIMATORS = {"rhe": "RHE", "ekf": "EKF", "oracle": "oracle"}
+RULES = ("printed", "consistent", "prediction", "tracking")
+PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
 _SPEEDS = ("constant in a window", "measured", "slipping tracks")
+_TURNS = ("to alternate sides", "left", "right", "figure of eight")
 _SOIL_UNDER = ("the middle", "each track")
 _FAULTS = (
     ("none", ()),
@@ -125,6 +117,7 @@ _CONTROLS = (
     _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
     _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
     _selection("backwards", "backwards", _NO_YES),
+    _selection("turns", "turns", _TURNS),
     _slider("row_length_m", "row length", 10, 100, 1),
     _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
     _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
@@ -142,7 +135,6 @@ _CONTROLS = (
     _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
     _slider("rut_length_m", "ruts over", 0, 3, 0.1),
     _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
-    _slider("side_slip_rad", "side slip", 0, 0.5, 0.02),
     Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
     _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
     _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
@@ -159,8 +151,8 @@ for _control in _CONTROLS:
 
 # Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
 PATCH = (
-    Slider(0, "along x [m]", -10, 45, 0.5, "The first row runs along x from 0."),
-    Slider(1, "across y [m]", -8, 24, 0.5, "The first row is at y = 0."),
+    Slider(0, "along x [m]", -12, 45, 0.5, "The first row runs along x from 0."),
+    Slider(1, "across y [m]", -24, 54, 0.5, "The first row is at y = 0."),
     Slider(2, "radius [m]", 0.5, 8, 0.25, "Radius of the patch."),
     Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
     Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),
@@ -177,11 +169,11 @@ def values_of(scenario):
     Returns:
         {key of a control: value}, with "process_noise", "seed" and "patches".
     """
-    noise = scenario.process_noise
+    noise = tuning.process_noise_of(scenario)
     values = vars(scenario) | dict(
         sigma_w=sigma_w_shown(scenario), sigma_v=tuning.sigma_v_of(scenario)
     )
-    is_offered = scenario.sigma_w is None and noise in dict(PROCESS_NOISES).values()
+    is_offered = scenario.sigma_w is scenario.sigma_v is None and noise in RULES
     keys = [*CONTROLS, "seed", "patches"]
     entries = {
         key: values[key[0]][key[1]] if isinstance(key, tuple) else values[key] for key in keys
@@ -193,7 +185,7 @@ def sigma_w_shown(scenario):
     """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
     if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
         return scenario.sigma_w
-    return tuning.SIGMA_W["rhe"][scenario.process_noise or "printed"]
+    return tuning.noise_of("rhe", scenario).sigma_w
 
 
 def scenario_of(values, estimator, start):
@@ -218,30 +210,38 @@ def scenario_of(values, estimator, start):
         else:
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
-    settings["sensors"] = settings["sensors"] if estimator == "rhe" else ()
+    is_rhe = estimator == "rhe"
+    settings["sensors"] = settings["sensors"] if is_rhe else ()
+    takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
+    settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
     absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
-    if settings["process_noise"] == "custom":
-        is_listed = start.process_noise in dict(PROCESS_NOISES).values()
-        settings["process_noise"] = start.process_noise if is_listed else None
-        settings["sigma_w"] = _sigma_w_for_estimator(settings)
+    rule = settings["process_noise"]
+    # What is as at the start, or the default, keeps its words there: the printed line stays short.
+    if rule in ("custom", tuning.process_noise_of(start)):
+        settings["process_noise"] = start.process_noise
+    elif rule == tuning.DEFAULT_RULE:
+        settings["process_noise"] = None
+    if rule == "custom":
+        is_touched = start.sigma_w or settings["sigma_w"] != sigma_w_shown(start)
+        settings["sigma_w"] = _sigma_w_for_estimator(settings) if is_touched else None
+        if settings["sigma_v"] == tuning.sigma_v_of(start):
+            settings["sigma_v"] = start.sigma_v
     else:
-        settings["sigma_w"] = None
-    # None means the default for the process noise, which keeps the printed scenario short.
-    if settings["sigma_v"] == tuning.SIGMA_V[settings["process_noise"] or "printed"]:
-        settings["sigma_v"] = None
+        settings |= dict(sigma_w=None, sigma_v=None)
     return Scenario(**settings)
 
 
 def _sigma_w_for_estimator(settings):
     """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
     estimator = estimator_of(settings["estimator"])
-    choice = Choice(*(settings[name] for name in Choice._fields[:4]))
+    shape = (settings[name] for name in Choice._fields[:4])
+    choice = Choice(*shape, yaw_drift=settings["yaw_drift"])
     n = estimator.n_sigma_w(choice)
     names = estimator.states(choice)[-n:] if n else ()
     six = dict(zip(QUANTITIES, settings["sigma_w"]))
     # The yaw drift has no slider.
-    tuned = tuning.SIGMA_W["yaw_drift_ekf"]["likelihood"]
+    tuned = tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w
     six |= dict(yaw_drift_radpm=tuned[-1])
     return tuple(six[name] for name in names) or None
 

@@ -23,10 +23,12 @@ from rhec.explorer import controls, field_run
 from rhec.explorer.field_run import ZOOMS, colour_of, name_of
 from rhec.explorer.panels import packed
 from rhec.explorer.screen import CSS, Screen
+from rhec.files import replacing
 from rhec.simulation import closed_loop
 from rhec.simulation.faults import SENSOR_CHANNELS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.tuning import Noise
 
 if TYPE_CHECKING:  # the browser draws the screen, so Matplotlib waits until a figure is asked for
     from matplotlib.figure import Figure
@@ -149,9 +151,9 @@ class Explorer(widgets.VBox):
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
         self.estimator = _list(estimators, self.start.estimator, "run", 142)
         self.against = _list([("nothing", None), *estimators], against, "against", 160)
-        tooltip = "process noise W of the estimators; the tab Estimator sets a custom W"
+        tooltip = "noise W and V of the estimators, by a rule; the tab Estimator sets custom ones"
         noise = values["process_noise"]
-        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise W", 158, tooltip)
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", 158, tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
@@ -332,15 +334,17 @@ class Explorer(widgets.VBox):
         self.screen.line = repr(self.runs[0].scenario)
 
     def _show_process_noise(self):
-        """Set the sliders of σ_W to the W in use; a custom W enables them."""
-        noise = self.process_noise.value
-        for place in range(6):
-            slider = self.inputs["sigma_w", place]
-            slider.disabled = noise != "custom"
-            if slider.disabled:
-                self.is_paused = True  # no run follows this change
-                slider.value = tuning.SIGMA_W["rhe"][noise or "printed"][place]
-                self.is_paused = False
+        """Set the sliders of σ_W and σ_V to the noise in use; a custom one enables them."""
+        rule = self.process_noise.value
+        # As the entries of a Noise are called, so are the sliders.
+        for name in Noise._fields:
+            for place in range(len(getattr(tuning.NOISES["rhe"]["printed"], name))):
+                slider = self.inputs[name, place]
+                slider.disabled = rule != "custom"
+                if slider.disabled:
+                    self.is_paused = True  # no run follows this change
+                    slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
+                    self.is_paused = False
 
     def _fold_sensors(self):
         """Hide the sliders of a gyro or a heading that the robot does not have."""
@@ -376,9 +380,11 @@ class Explorer(widgets.VBox):
         folder.mkdir(parents=True, exist_ok=True)
         for place, run in enumerate(self.runs, 1):
             estimator = name_of(run.scenario).lower().replace(" ", "_")
-            file = folder / _safe_name(f"{name}_{place}_{estimator}")
-            run.log.to_csv(f"{file}.csv", index=False)
-            run.log.to_parquet(f"{file}.parquet", index=False)
+            file = _safe_name(f"{name}_{place}_{estimator}")
+            with replacing(folder / f"{file}.csv") as unfinished:
+                run.log.to_csv(unfinished, index=False)
+            with replacing(folder / f"{file}.parquet") as unfinished:
+                run.log.to_parquet(unfinished, index=False)
         scenarios = [run.scenario for run in self.runs]
         style.save(self.figure(), name, scenarios, folder=folder)
         files = "CSV and Parquet of each run, the figure as PNG and PDF"

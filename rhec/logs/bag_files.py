@@ -4,12 +4,14 @@ import bz2
 import re
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 _LARGEST_CHUNK = 2**26  # [bytes]; recorders write chunks of about a megabyte
+_OF_URI = {*"#?%"}  # letters that end a path in a URI, or stand for others
 _ZSTD = b"\x28\xb5\x2f\xfd"  # the first bytes of what zstd has packed; no message begins so
 # A table or index of plain columns. Views, triggers and computed columns would run SQL of the file.
 _PLAIN = re.compile(r"CREATE (TABLE|(UNIQUE )?INDEX) [^()]*\([^()]*\)\s*")
@@ -47,6 +49,30 @@ def _refuse_sql(file):
 
 
 @contextmanager
+def _plainly_named(files):
+    """A context with files whose paths have no letter that means something in a URI.
+
+    rosbags opens an SQLite file by a URI that it does not quote: of `log #3/a.db3` it would open
+    `log `. Links in a private folder stand for such files.
+    """
+    with ExitStack() as stack:
+        plain = []
+        for file in files:
+            if _OF_URI & {*str(file)}:
+                folder = stack.enter_context(TemporaryDirectory())
+                if _OF_URI & {*folder}:
+                    raise ValueError(
+                        f"the folder for temporary files is {folder!r}; TMPDIR should name one "
+                        "without #, ? and %"
+                    )
+                link = Path(folder, f"bag{file.suffix}")
+                link.symlink_to(file.absolute())
+                file = link
+            plain.append(file)
+        yield plain
+
+
+@contextmanager
 def opened(files: list[Path]) -> Iterator[Any]:
     """A context with the rosbags AnyReader of files that are one recording.
 
@@ -72,11 +98,12 @@ def opened(files: list[Path]) -> Iterator[Any]:
     reader.decompressors |= dict(lz4=by_lz4, bz2=_unpacker(bz2.BZ2Decompressor))
     by_zstd = _unpacker(storage_mcap.zstd.ZstdDecompressor)
     storage_mcap.DECOMPRESSORS |= dict(lz4=by_lz4, zstd=by_zstd)
-    for file in files:
-        if file.suffix == ".db3":
-            _refuse_sql(file)
-    with AnyReader(files, default_typestore=get_typestore(Stores.LATEST)) as bag:
-        yield bag
+    with _plainly_named(files) as plain:
+        for file in plain:
+            if file.suffix == ".db3":
+                _refuse_sql(file)
+        with AnyReader(plain, default_typestore=get_typestore(Stores.LATEST)) as bag:
+            yield bag
 
 
 def messages(bag: Any, topics: set[str]) -> Iterator[tuple[str, int, Any]]:

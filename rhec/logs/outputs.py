@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rhec.files import replacing
 from rhec.logs.reader import degrees_at
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
-from rhec.style import replacing
 
 # What write_estimates may write, and write_summary besides.
 FILES_OF_ESTIMATES = (
@@ -95,4 +95,4 @@ def write_traction(estimates, file):
 
 def _write_text(file, text):
     with replacing(file) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+        unfinished.write(text.encode())

@@ -19,12 +19,13 @@ from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
-from rhec.logs.column_names import column_of
+from rhec.logs.column_names import OTHER_NAMES, column_of, plain_name
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
+_MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 # A mark of thousands, then a mark of decimals, such as 1,234.5 and 1.234,5.
@@ -32,6 +33,7 @@ _THOUSANDS = {
     ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
     ".": re.compile(r"(?<![\d.,])\d{1,3}(\.\d{3})+,\d"),
 }
+_READ = ("t_s", "latitude", "longitude", "altitude")  # by other names, too
 _UNIT_OF_TIME = re.compile(r"[ _(\[]+(s|ms|us|ns)[)\]]*$", re.IGNORECASE)
 _MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 # The ellipsoid WGS 84
@@ -124,7 +126,7 @@ def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
         elif file.suffix in _TEXTS:
             log, inferred = _read_text(file)
         else:
-            log, inferred = _read_parquet(file)
+            log, inferred = _read_parquet(file, columns)
     except Exception as error:  # any error that a reader raises for a broken file
         problem = _printable(shorten(str(error), _LONGEST_PROBLEM, placeholder=" …"))
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
@@ -184,7 +186,7 @@ def _checked_path(path):
         raise ValueError(f"log was {shown(path)}; it cannot be a path") from None
     if not is_log:
         raise ValueError(
-            f"log was {str(file)!r}; it should be an existing {', '.join(_TEXTS)}, .parquet, "
+            f"log was {shown(str(file))}; it should be an existing {', '.join(_TEXTS)}, .parquet, "
             f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
         )
     return file
@@ -312,17 +314,84 @@ def _marks(lines, separator):
     return "," if separator != "," and has_commas else ".", None
 
 
-def _read_parquet(file):
-    """The table in a .parquet file, unless unpacking it would fill the memory, and {}."""
+def _read_parquet(file, columns):
+    """The table in a .parquet file, unless unpacking it would fill the memory, and {}.
+
+    Of its columns those of numbers and times are read, and those of text that may be a time or a
+    measurement, or that `columns` names. Lists and other nests, whose size no schema tells, are
+    not.
+    """
     import pyarrow.parquet as pq  # only some have it
 
-    metadata = pq.read_metadata(file)
-    n_values = metadata.num_rows * metadata.num_columns
-    if n_values > MOST_VALUES:
-        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
-    table = pd.read_parquet(file, engine="pyarrow")
+    with pq.ParquetFile(file) as parquet:
+        schema = parquet.schema_arrow
+        numbers = [field.name for field in schema if _is_number(field.type)]
+        wanted = {name.removeprefix("-") for name in columns.values()} | {*OTHER_NAMES}
+        read_alone = {other for name in _READ for other in OTHER_NAMES[name]}
+        texts = [
+            field.name
+            for field in schema
+            if _is_text(field.type)
+            and (field.name in wanted or plain_name(field.name) in read_alone)
+        ]
+        _refuse_large(parquet.metadata, {*numbers, *texts})
+    # Of equal texts a dictionary has one: they may be long, and many, in a small file.
+    with pq.ParquetFile(file, read_dictionary=texts) as parquet:
+        table = parquet.read([name for name in schema.names if name in {*numbers, *texts}])
+    for name in texts:
+        table = _with_plain_text(table, name)
+    table = table.to_pandas()
     table.attrs.clear()  # of a replay, which the file may bring along
     return table, {}
+
+
+def _is_number(kind):
+    """Whether a type of Arrow is that of numbers, times or truth values."""
+    import pyarrow.types as types
+
+    if types.is_dictionary(kind):
+        return _is_number(kind.value_type)
+    tests = types.is_integer, types.is_floating, types.is_decimal, types.is_temporal
+    return types.is_boolean(kind) or any(test(kind) for test in tests)
+
+
+def _is_text(kind):
+    """Whether a type of Arrow is that of text, which may stand in a dictionary."""
+    import pyarrow.types as types
+
+    if types.is_dictionary(kind):
+        return _is_text(kind.value_type)
+    return types.is_string(kind) or types.is_large_string(kind)
+
+
+def _refuse_large(metadata, names):
+    """Refuse a Parquet file whose columns of these names have too many values or bytes."""
+    n_values = metadata.num_rows * len(names)
+    if n_values > MOST_VALUES:
+        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
+    groups = [metadata.row_group(place) for place in range(metadata.num_row_groups)]
+    parts = [group.column(place) for group in groups for place in range(group.num_columns)]
+    unpacked = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
+    if unpacked > _MOST_BYTES:
+        raise ValueError(f"it unpacks to {unpacked} bytes, and should to at most {_MOST_BYTES}")
+
+
+def _with_plain_text(table, name):
+    """An Arrow table whose dictionary of texts is a column of texts, unless that is too large."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    column = table[name].unify_dictionaries()
+    longest = max(
+        (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks),
+        default=0,
+    )
+    if longest * len(column) > _MOST_BYTES:
+        raise ValueError(
+            f"{name} has {len(column)} texts of up to {longest} bytes, and they should be at most "
+            f"{_MOST_BYTES} bytes"
+        )
+    return table.set_column(table.column_names.index(name), name, column.cast(pa.string()))
 
 
 def _in_seconds(log, inferred):

@@ -57,12 +57,14 @@ from rhec.simulation.columns import (
     SENSORS,
     SIGMA,
     SIGMA_GYRO,
+    SIGMA_YAW_DRIFT,
+    YAW_DRIFT_HAT,
 )
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import gyro_check, sensors, slipping
-from rhec.tracked_robot.choice import Choice, TractionInput
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.rhe import sigma_start, window_of
 
 ESTIMATOR_FIELDS = (
@@ -73,6 +75,7 @@ ESTIMATOR_FIELDS = (
     "speed_model",
     "slip",
     "arrival_mean",
+    "yaw_drift",
     "sensors",
     "sigma_gyro",
     "sigma_heading",
@@ -86,8 +89,10 @@ _SIGMA_FIRST = dict(
 )
 _SIGMA_ARM_M = 0.005  # standard deviation of a lever arm that the user passes
 # The columns of an estimate of the paper's robot and of its standard deviation.
-_HATS = dict(zip((*_SIGMA_FIRST, *sensors.GYRO), (*ESTIMATE, *LEVER_ARM, *GYRO)))
-_SIGMAS = dict(zip(_HATS, (*SIGMA, *SIGMA_GYRO)))
+_HATS = dict(
+    zip((*_SIGMA_FIRST, *sensors.GYRO, YAW_DRIFT), (*ESTIMATE, *LEVER_ARM, *GYRO, YAW_DRIFT_HAT))
+)
+_SIGMAS = dict(zip(_HATS, (*SIGMA, *SIGMA_GYRO, SIGMA_YAW_DRIFT)))
 # Rows of z of the paper's robot, by the flag that says whether they were used.
 POSITION_AND_ENCODERS = ((0, 1), (2, 3))
 # Columns of what a scan records besides estimates.
@@ -366,12 +371,13 @@ def replay_of(scenario):
     choice = Choice.of(scenario)
     model = _model_of(choice)
     quantities = (*_SIGMA_FIRST, *(sensors.GYRO if "gyro" in scenario.sensors else ()))
+    quantities += (YAW_DRIFT,) * scenario.yaw_drift
     structure = ("named", *choice)
     if choice.estimator == "rhe":
         known = (*QUANTITIES, *(name for name in quantities[6:] if name in model.joint_names))
         structure = ("rhe", window_of(choice)._replace(quantities=known))
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
-    settings = estimator_of(choice.estimator).settings(scenario) | dict(traction=np.ones(2))
+    settings = estimator_of(choice.estimator).settings(scenario)
     measured = measured_of(scenario.sensors)
     return Replay(
         model=model,
@@ -395,7 +401,8 @@ def first_guess(first, nu, place, yaw_rad, sigma_yaw_rad):
         place, yaw_rad, sigma_yaw_rad: As in `estimated`.
     """
     arm_m = first.lever_arm_m or first.about_arm_m
-    guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m))) | sensors.GYRO_GUESS
+    guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m)))
+    guess |= sensors.GYRO_GUESS | {YAW_DRIFT: 0.0}
     return guess, _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
 
 
@@ -567,7 +574,7 @@ def replay_scenario(estimator, recording, fields):
 
 def _runs_without_truth(estimator):
     """Whether an estimator needs no truth, such as the traction."""
-    return estimator_of(estimator).traction_input is TractionInput.NONE
+    return not estimator_of(estimator).told
 
 
 # Any Model
@@ -721,8 +728,8 @@ def replay(
             in different rows and at different rates; a measured input is the mean since its
             previous measurement. `rhec.logs.recording` describes the treatment of faults of real
             logs.
-        estimator: "rhe", "rhe_no_slip", "ekf", "augmented_ekf", "bounded_ekf", "yaw_drift_ekf" or
-            a CasADi Function, as in Scenario. With a model "rhe" or "ekf".
+        estimator: "rhe", "ekf", "bounded_ekf", a rhec.Estimator or its CasADi Function, as in
+            Scenario. With a model "rhe" or "ekf".
         model: A rhec.Model. The other arguments are then those of rhec.RHE or rhec.EKF: dt,
             sigma_v, sigma_w, guess (of each segment), sigma_guess, horizon, arrival_mean.
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
@@ -743,11 +750,11 @@ def replay(
             of the estimator "rhe" with speed_model="slipping". With speed_model="input" it can be
             smoothed as well.
         **fields: Parameters of Scenario: process_noise, sigma_w, sigma_v, estimation_horizon,
-            speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading. The default
-            speed_model is "slipping": "input" (interpretation G13) with noise that grows with the
-            motion. With it the estimator "rhe" uses the gyro and the heading of the log unless
-            sensors says otherwise, and without a sigma_v the log is asked for the noise of the
-            positions.
+            speed_model, slip, arrival_mean, yaw_drift, sensors, sigma_gyro, sigma_heading. The
+            default speed_model is "slipping": "input" (interpretation G13) with noise that grows
+            with the motion. With it the estimator "rhe" uses the gyro and the heading of the log
+            unless sensors says otherwise, and without a sigma_v the log is asked for the noise of
+            the positions.
 
     Returns:
         DataFrame, one row for each row of the log, in its order and with its index;

@@ -13,20 +13,15 @@ import numpy as np
 from rhec import paper
 from rhec.core import blocks, runner
 from rhec.core._casadi import build, early, packing
-from rhec.core.controller import rhc
-from rhec.simulation import faults
-from rhec.simulation.blocks import blocks_of
-from rhec.simulation.columns import COLUMNS, FLAGS, SENSORS
-from rhec.simulation.controller import own_controller
+from rhec.simulation.columns import COLUMNS as COLUMNS  # without those of a scenario's options
+from rhec.simulation.columns import FLAGS, of_run
 from rhec.simulation.metrics import metrics
+from rhec.simulation.parts import World, parts_of
 from rhec.simulation.run import Run
 from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot import plant_options as robot_options
-from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
-from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import Path, path_of
 from rhec.tracked_robot.terrain import Terrain
 
@@ -48,6 +43,7 @@ class Setup:
         memory: The first memory, packed.
         layout: Shapes of the memory's pieces by name; of estimator and RHC, of theirs.
         settings: The arguments that stay the same over the run, by name.
+        draws: The streams of the signals in a row of the run's stream (`noise_and_faults`).
         path: The path to follow.
         terrain: The traction of the soil.
         guess: (x, y, θ, ν, μ, κ), the estimator's first.
@@ -57,14 +53,10 @@ class Setup:
     memory: np.ndarray
     layout: dict
     settings: dict
+    draws: tuple
     path: Path
     terrain: Terrain
     guess: np.ndarray
-
-    @property
-    def draws(self):
-        """Names of the signals in a row of the run's stream, as `noise_and_faults` takes them."""
-        return blocks.drawn(self.structure[0])
 
     def unpack(self, memory):
         """A memory's arrays by name; those of estimator and RHC in dicts of their own."""
@@ -79,18 +71,17 @@ def set_up(scenario):
     """The Setup of a scenario: path, soil, starting point and settings."""
     path = path_of(scenario)
     soil = scenario.terrain or terrain.random_for(scenario, path)
-    shape = terrain.common_shape(soil)
-    choice = Choice.of(scenario)
-    estimator = estimator_of(choice.estimator)
-    loop = blocks_of(scenario, len(path.segments), shape)
     guess = first_guess(scenario, path)
-    values = _first_values(scenario, path, guess)
-    values["estimator"] = estimator.init(choice, dict(zip(QUANTITIES, guess)))
-    memory, layout = _pack({name: values[name] for name in blocks.remembered(loop)})
-    settings = (
-        _settings(scenario, path) | terrain.settings(soil, shape) | estimator.settings(scenario)
-    )
-    return Setup((loop, tuple(settings)), memory, layout, settings, path, soil, guess)
+    pose = _start_pose(scenario, path)
+    parts = tuple(parts_of(scenario, World(path, soil, pose, _signed_speed(scenario), guess)))
+    loop = tuple(part.block for part in parts)
+    settings = blocks.brought(parts, "settings")
+    first = blocks.brought(parts, "first")
+    # What a block need not remember, such as the plan of a controller without memory, is left out.
+    memory, layout = _pack({name: first[name] for name in blocks.remembered(loop)})
+    streams = blocks.brought(parts, "streams")
+    draws = tuple(streams[name] for name in blocks.drawn(loop))
+    return Setup((loop, tuple(settings)), memory, layout, settings, draws, path, soil, guess)
 
 
 def _signed_speed(scenario):
@@ -113,25 +104,6 @@ def _start_pose(scenario, path):
     return np.array([x, y, theta])
 
 
-def _first_values(scenario, path, guess):
-    """What blocks may remember, before the first sample, by name; that of the RHC is a dict."""
-    pose = _start_pose(scenario, path)
-    own = own_controller(scenario)
-    horizon = paper_rhc.horizon_of(scenario.prediction_horizon)
-    return (
-        robot.init(pose, _signed_speed(scenario))
-        | faults.init(len(scenario.sensors))
-        | dict(
-            last_yaw=pose[2],
-            slip_angle=0.0,
-            newest_omega=0.0,
-            s=path.project(pose[None, :2])[1],
-            command=0.0,
-            controller=np.array(own.memory) if own else rhc.init(horizon, guess[:3], guess[3:]),
-        )
-    )
-
-
 def _pack(memory):
     """A memory by name in one vector, and its layout."""
     nested = {name: piece for name, piece in memory.items() if isinstance(piece, dict)}
@@ -140,44 +112,12 @@ def _pack(memory):
     return packing.pack_array(flat), packing.shapes_of(flat) | inner
 
 
-def _settings(scenario, path):
-    """The settings of robot, path and controller; a loop takes those that its blocks read."""
-    q = np.array(scenario.q)
-    names = (*robot.SENSORS, *robot.BODY, *robot_options.SETTINGS)
-    world = {name: getattr(scenario, name) for name in names}
-    return world | dict(
-        look_ahead_m=scenario.look_ahead_m,
-        segments=path.segments.T,
-        period_m=path.period_m,
-        backwards=float(scenario.backwards),
-        Q=q,
-        QN=scenario.qn_factor * q,
-        R=scenario.r,
-        lower=-scenario.omega_max_radps,
-        upper=scenario.omega_max_radps,
-        speed_mps=_signed_speed(scenario),
-        command_delay=float(scenario.command_delay),
-        disturbance=0.0,  # of the yaw rate, where none is estimated
-    )
-
-
-def noise_and_faults(seed, scheduled, samples, draws=("noise",)):
+def noise_and_faults(seed, scheduled, samples, draws=(robot.draw_noise,)):
     """The stream that a run is scanned over: noise and the scheduled Faults, one row a sample.
 
-    `draws` are names of the signals in a row, in order.
+    `draws` are the streams of the signals in a row, in order, such as those of a Setup.
     """
-    parts = []
-    for name in draws:
-        if name == "noise":
-            parts.append(robot.draw_noise(seed, samples))
-        elif name in robot_options.STREAMS:
-            parts.append(robot.standard_normal(seed, robot_options.STREAMS[name], samples, 1))
-        else:
-            from rhec.simulation import fault_signals
-
-            sensors = tuple(sensor for sensor in SENSORS if f"{sensor}_noise" in draws)
-            parts.append(fault_signals.stream(scheduled, samples, paper.DT_S, seed, sensors))
-    return np.hstack(parts)
+    return np.hstack([draw(seed, samples, scheduled) for draw in draws])
 
 
 def simulate_setup(scenario, setup):
@@ -192,7 +132,9 @@ def simulate_setup(scenario, setup):
 def finished(scenario, setup, rows):
     """The Run of a scenario, from the rows (n, columns) that its loop yielded."""
     path = setup.path
-    names = [*COLUMNS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
+    choice = Choice.of(scenario)
+    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift(choice)
+    names = of_run(scenario.sensors, has_yaw_drift)
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(names, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}

@@ -48,7 +48,17 @@ SENSORS = dict(gyro="gyro_meas_radps", heading="heading_meas_rad")
 GYRO = ["gyro_bias_hat_radps", "gyro_scale_hat"]
 GYRO_ACCEPTED = "gyro_accepted"
 SIGMA_GYRO = ["sigma_gyro_bias_radps", "sigma_gyro_scale"]
+# The estimated yaw drift, of estimators that have it.
+YAW_DRIFT_HAT = "yaw_drift_hat_radpm"
+SIGMA_YAW_DRIFT = "sigma_yaw_drift_radpm"
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
+
+
+def of_run(sensors, has_yaw_drift):
+    """Columns of a run's log: COLUMNS, those of its `sensors`, and an estimated yaw drift."""
+    of_sensors = [SENSORS[name] for name in SENSORS if name in sensors]
+    return [*COLUMNS, *of_sensors, *([YAW_DRIFT_HAT] if has_yaw_drift else [])]
+
 
 # Columns of a recording, by their names in a run or a replay.
 TRACKS = ["v_left_mps", "v_right_mps"]

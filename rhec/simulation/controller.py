@@ -72,11 +72,11 @@ def own_controller(scenario):
 def check_fits(scenario):
     """Refuse a Scenario's Controller whose inputs have other shapes than the loop's signals."""
     # Imported here, since only those who have a controller of their own need it.
-    from rhec.tracked_robot.rhc import horizon_of
+    from rhec.tracked_robot.rhc import stages_of
 
-    horizon = horizon_of(scenario.prediction_horizon)
+    stages = stages_of(scenario.prediction_horizon)
     states = estimator_of(scenario.estimator).states(Choice.of(scenario))
-    shapes = dict.fromkeys(Controller.signals, _ONE) | horizon.weights | horizon.references
+    shapes = dict.fromkeys(Controller.signals, _ONE) | stages.weights | stages.data
     shapes |= dict(
         covariance=(len(states), len(states)), segments=(5, len(path_of(scenario).segments))
     )

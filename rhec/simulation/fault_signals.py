@@ -162,6 +162,17 @@ def _interpolated(at_s, t_s, columns):
     return np.column_stack([np.interp(at_s, t_s, column) for column in columns.T])
 
 
+class FaultStream(NamedTuple):
+    """How a loop draws the rows of `stream`, of a robot with these further sensors."""
+
+    sensors: tuple
+    dt_s: float
+
+    def __call__(self, seed, samples, faults=()):
+        """The rows of `stream`."""
+        return stream(faults, samples, self.dt_s, seed, self.sensors)
+
+
 def stream(faults, samples, dt_s, seed, sensors=()):
     """The schedule as the closed loop reads it, (samples, n): rows of `stream_shapes`, ages in
     samples, of a robot with these further `sensors`.

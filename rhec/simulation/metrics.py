@@ -30,7 +30,7 @@ METRICS = {
     "mean_error_from_start_m": ("m", "mean of `error_m` over the whole run (G14)"),
     "overshoot_m": ("m", "on the first row: the largest distance beyond the path from the start"),
     "omega_peak_radps": ("rad/s", "largest absolute commanded yaw rate of the whole run"),
-    "kkt_rhe_median": ("", "median of `kkt_rhe` (G12)"),
+    "kkt_rhe_median": ("", "median of `kkt_rhe` (G12) over the samples that were not rejected"),
     "kkt_rhc_median": ("", "median of `kkt_rhc` (G12)"),
     "solver_ok": ("", "whether every QP was solved; it says nothing of the errors"),
 }
@@ -66,11 +66,11 @@ def metrics(columns, poses):
         {name: column[counted] for name, column in columns.items()}, poses[counted], left[counted]
     )
     values |= dict(
-        mean_error_from_start_m=_mean_of_finite(columns["error_m"]),
+        mean_error_from_start_m=_of_finite(np.mean, columns["error_m"]),
         overshoot_m=_overshoot(left, columns["on_straight"]),
         omega_peak_radps=np.abs(columns["omega_cmd_radps"]).max(),
-        kkt_rhe_median=np.median(columns["kkt_rhe"][counted]),
-        kkt_rhc_median=np.median(columns["kkt_rhc"][counted]),
+        kkt_rhe_median=_of_finite(np.median, columns["kkt_rhe"][counted]),
+        kkt_rhc_median=_of_finite(np.median, columns["kkt_rhc"][counted]),
     )
     values["solver_ok"] = columns["ok"].all()
     return Metrics({name: value.item() for name, value in values.items()})
@@ -104,7 +104,7 @@ def _of_settled_samples(columns, poses, left):
     on_straight = columns["on_straight"]
     corner_m = _corner_error(columns["theta_rad"] - poses[:, 2], left)
     return dict(
-        mean_error_m=_mean_of_finite(error_m),
+        mean_error_m=_of_finite(np.mean, error_m),
         mean_error_true_m=np.mean(error_true_m),
         max_error_true_m=np.max(error_true_m),
         max_corner_error_true_m=np.max(corner_m * on_straight),
@@ -151,10 +151,10 @@ def settled_samples(error, within=paper.TOLERANCE_M):
     return np.flatnonzero(inside == SETTLING_SAMPLES)
 
 
-def _mean_of_finite(values):
-    """Mean of the values that are not NaN; NaN where all are."""
+def _of_finite(statistic, values):
+    """A statistic of the values that are not NaN; NaN where all are."""
     finite = values[~np.isnan(values)]
-    return finite.mean() if len(finite) else np.float64(np.nan)
+    return statistic(finite) if len(finite) else np.float64(np.nan)
 
 
 def rms(values):

@@ -8,20 +8,21 @@ from rhec.core import runner
 from rhec.core._casadi import early
 from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
-from rhec.simulation.columns import MEASUREMENTS, POSE
-from rhec.tracked_robot.choice import Choice, TractionInput
+from rhec.simulation.columns import MEASUREMENTS, POSE, SENSORS, TRUTH
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 SETTLED_S = 20.0  # by then the exact first guess no longer matters
+# What a log has of what an estimator may be told, sample by sample.
+_TOLD = dict(traction=["mu", "kappa"], yaw_drift=["yaw_drift_radpm"], truth=TRUTH)
 
 
 @functools.lru_cache(maxsize=8)
 def _build(outputs, choice):
-    """An estimator's step over measurements, and the traction where it takes one."""
-    step = build_step(choice)
-    streamed = ["traction"] if "traction" in step.name_in() else []
-    return runner.build_recorded(step, outputs, streamed)
+    """An estimator's step over measurements, and what it is told."""
+    streamed = [name for name in estimator_of(choice.estimator).told if name in _TOLD]
+    return runner.build_recorded(build_step(choice), outputs, streamed)
 
 
 def columns(run, names):
@@ -42,6 +43,28 @@ def run_estimator_on_all(scenario, runs, *outputs):
     return [runner.by_name(step, of_run) for of_run in rows]
 
 
+def deviances(scenario, noises, runs):
+    """-2 log likelihood of each Run's measurements under each noise of the scenario's estimator.
+
+    Args:
+        scenario: The Scenario, whose own noise does not count.
+        noises: `tuning.Noise` records.
+        runs: Runs.
+
+    Returns:
+        (noises, runs).
+    """
+    structure = ("deviance",), Choice.of(scenario)
+    step = _build(*structure)["step"]
+    memories, streams, settings = zip(*(_arguments(step, scenario, run) for run in runs))
+    variances = [dict(V=np.square(of.sigma_v), W=np.square(of.sigma_w)) for of in noises]
+    n = len(noises)
+    (program,) = lanes.programs(_build, [structure])
+    of_both = [of_run | of_noise for of_noise in variances for of_run in settings]
+    rows = runner.run(program, memories * n, streams * n, of_both)
+    return np.reshape([of.sum() for of in rows], (n, len(runs)))
+
+
 def run_estimator(scenario, run, *outputs):
     """Outputs of the scenario's estimator on the measurements of a run, as {name: array}."""
     functions = early.load(_build, outputs, Choice.of(scenario))
@@ -54,14 +77,10 @@ def _arguments(step, scenario, run):
     estimator = estimator_of(choice.estimator)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
-    with_drift = estimator.traction_input is TractionInput.TRUE_WITH_DRIFT
-    true = columns(run, ["mu", "kappa"] + ["yaw_drift_radpm"] * with_drift)
-    traction = np.broadcast_to(
-        estimator.traction_input.select_traction(run.terrain.mean, true, true), true.shape
-    )
-    stream = np.hstack([columns(run, MEASUREMENTS), traction])
-    # The traction is not in the stream of an estimator that takes none.
-    return memory, stream[:, : step.size1_in(1)], estimator.settings(scenario)
+    of_sensors = [SENSORS[name] for name in SENSORS if name in scenario.sensors]
+    told = [column for name in estimator.told for column in _TOLD.get(name, ())]
+    settings = estimator.settings(scenario) | dict(mean_traction=run.terrain.mean)
+    return memory, columns(run, [*MEASUREMENTS, *of_sensors, *told]), settings
 
 
 def sigma_of_traction(run):

@@ -15,11 +15,12 @@ from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.controller import Controller, check_fits
 from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
-from rhec.tracked_robot import options
+from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
-from rhec.tracked_robot.path import Path, path_of
+from rhec.tracked_robot.path import Path, Turns, path_of
+from rhec.tracked_robot.sensors import refuse_drift_with
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 if TYPE_CHECKING:
@@ -32,21 +33,16 @@ class Scenario:
 
     # Pydantic skips a union with a class of ours; `_check_types` refuses in one sentence.
     estimator: Annotated[EstimatorName | Estimator | ca.Function, SkipValidation] = "rhe"
-    """The paper's "rhe" or "ekf". Not in the paper: "oracle" (has the true pose and traction);
-    "augmented_ekf" (μ and κ are states), "bounded_ekf" (the same, kept between 0 and 1);
-    "traction_oracle" (an EKF with the true traction), "fixed_traction" (an EKF with the mean
-    traction of the field), "rhe_fixed_traction" (an RHE with that mean), "rhe_no_slip" (an RHE with
-    μ = κ = 1); "yaw_drift_ekf" (a bounded EKF that also estimates how much the robot turns for each
-    metre without a yaw rate of its tracks, which the controller cancels); "drift_oracle" (an EKF
-    with the true traction and yaw drift). Or one's own: a rhec.Estimator, or its CasADi Function
-    (memory, z) -> (memory, estimate) alone."""
+    """The paper's "rhe" or "ekf". Not in the paper: "bounded_ekf" (μ and κ are states, kept between
+    0 and 1) and "oracle" (has the true pose and traction). Or one's own: a rhec.Estimator, or its
+    CasADi Function (memory, z) -> (memory, estimate) alone."""
     process_noise: options.ProcessNoise | None = None
-    """W by name (G1, G2). "printed": the paper's; "likelihood": the likeliest on training seeds;
-    "consistent": makes the covariance match the errors there; "tracking": has the least true error
-    there with the paper's controller. These two also set sigma_v where that is None. "soft_soil":
-    the likeliest on soil that slips more, as under recorded robots. None: "printed" for an RHE,
-    "likelihood" for a filter, which with W as printed loses its heading. Likelihood is the one rule
-    that needs no truth, so that it could have been followed in the field."""
+    """The rule that picked W, and sigma_v where that is None (G1, G2). "printed": the paper's;
+    "consistent": the covariance is as large as the errors on training seeds; "prediction": predicts
+    their next measurements best; "tracking": has the least true error there with the paper's
+    controller; "soft_soil": as "prediction" on soil that slips more, as under recorded robots.
+    None: "prediction" for every estimator, the one rule that needs no truth, so that it could have
+    been followed in the field."""
     sigma_w: tuple[valid.NotNegative, ...] | None = None
     """Standard deviations behind W, instead of process_noise: (x, y, θ, ν, μ, κ). Without (μ, κ)
     where they are not estimated, without ν where it is an input; (μ, κ) per √m for speed_model
@@ -66,10 +62,10 @@ class Scenario:
     arrival_mean: ArrivalMean = "filtered"
     """Prior mean of the arrival cost of the RHE. "filtered": from the EKF update, as in the code
     of ACADO, the paper's tool; "smoothed": from the previous solution, as in its text (G7)."""
-    yaw_rate_interval: Literal["before", "after"] = "before"
-    """Which interval the measured ω of a sample belongs to. "before": to the one that ends at the
-    sample; "after": to the one that begins there, so that the estimator is passed it, and the log
-    holds it, one sample later (G16)."""
+    yaw_drift: valid.Flag = False
+    """Whether an RHE also estimates the yaw drift δ of soil that turns the robot without a yaw rate
+    of its tracks, θ' = κω + μνδ, which the controller then cancels. Not in the paper; for the speed
+    models "parameter" and "input"."""
     sigma_gyro: options.SigmaGyro | None = None
     """Noise of the gyro that the estimator assumes, standard deviations: constant [rad/s], and as a
     share of the yaw rate of the tracks."""
@@ -113,11 +109,15 @@ class Scenario:
     backwards: valid.Flag = False
     """Whether the robot drives in reverse, λ = 1 in eq. (18) (G9)."""
     path: Annotated[Path | None, SkipValidation] = None
-    """Path to follow. None: two rows that half circles join on the headlands."""
+    """Path to follow. None: rows that are joined by turns, as the next three parameters say."""
+    turns: Turns = "alternate"
+    """Which way the path turns at the ends of its rows (G18). "alternate": to alternate sides, as a
+    field of four rows is worked, then back along the headland; "left" and "right": always to that
+    side, between two rows; "figure_of_eight": to alternate sides, between two rows that cross."""
     row_length_m: Annotated[valid.Positive, Limits(le=1e4)] = paper.ROW_LENGTH_M
-    """Length of each of these two rows [m]."""
+    """Length of each of these rows [m]."""
     headland_radius_m: Annotated[valid.Positive, Limits(ge=1e-3, le=1e3)] = paper.HEADLAND_RADIUS_M
-    """Radius of these half circles [m]."""
+    """Radius of these turns [m]."""
     start_offset_m: valid.Real = paper.START_OFFSET_M
     """Where the robot starts, to the left of the path's beginning (G3) [m]."""
     start_yaw_rad: valid.Real = 0.0
@@ -172,11 +172,6 @@ class Scenario:
     rotation_centre_m: valid.Real = 0.0
     """How far the point about which the robot turns lies ahead of its middle, where the antenna of
     the GNSS is [m]."""
-    side_slip_rad: valid.NotNegative = 0.0
-    """Standard deviation of the angle between course and yaw, as on ice: a side slip that lasts, a
-    Gauss-Markov process of time [rad]. 0: none."""
-    side_slip_time_s: valid.Positive = 1.5
-    """Time constant of that side slip [s]."""
     sensors: options.Sensors = ()
     """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
     gyro_sigma_radps: valid.NotNegative = 0.01
@@ -259,11 +254,16 @@ def _check_deviation(scenario, name):
 
 
 def _check_fits_estimator(scenario):
-    """Refuse `sensors`, `faults` and `sigma_w` that do not fit the estimator."""
+    """Refuse `sensors`, `yaw_drift`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
     if scenario.sensors and estimator != "rhe":
         expected = f"for the estimator {valid.shown(estimator)} it should be ()"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
+    if scenario.yaw_drift and not estimator_of(estimator).takes_yaw_drift:
+        expected = f"for the estimator {valid.shown(estimator)} it should be False"
+        raise ValueError(f"yaw_drift was True; {expected}")
+    if scenario.yaw_drift:
+        refuse_drift_with(scenario.speed_model)
     for fault in scenario.faults:
         if fault.channel in SENSOR_CHANNELS and fault.channel not in scenario.sensors:
             raise ValueError(
@@ -274,6 +274,11 @@ def _check_fits_estimator(scenario):
     if scenario.sigma_w is not None and len(scenario.sigma_w) != entries:
         expected = f"for the estimator {valid.shown(estimator)} it should have {entries} entries"
         raise ValueError(f"sigma_w was {valid.shown(scenario.sigma_w)}; {expected}")
+    if isinstance(estimator, Estimator) and entries and scenario.sigma_w is None:
+        rule = tuning.process_noise_of(scenario)
+        if rule not in estimator.noises:
+            expected = f"it should have {entries} entries, since {rule!r} picked none for it"
+            raise ValueError(f"sigma_w was None for the estimator {estimator!r}; {expected}")
 
 
 class _TextsAsDocstring:

@@ -128,7 +128,7 @@ def docstring(scenario_class):
 
 The parameters below are in groups: {", ".join(others)},
 {last}.
-G1 to G16 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
+G1 to G18 are the interpretations of the paper in docs/interpretations.md. `dataclasses.replace`
 returns a Scenario that differs in some parameters.
 `Scenario.describe()` has them as a table.
 

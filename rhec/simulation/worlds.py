@@ -4,7 +4,7 @@ For example `rhec.Scenario(**rhec.WORLDS["soft"], seed=3)`. docs/world.md says m
 """
 
 # (x, y, radius, μ, κ) [m, m, m, -, -]: where the path turns, and on a row.
-_WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 12.0)))
+_WET = tuple((x, y, 2.0, 0.7, 0.3) for x, y in ((37.0, 4.0), (15.0, 15.6), (-7.0, 19.2)))
 
 WORLDS: dict[str, dict] = {
     # The centre of the worlds in which the paper's numbers are possible.

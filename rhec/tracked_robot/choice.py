@@ -1,37 +1,16 @@
 """The records that describe an estimator of the tracked robot to those who run one."""
 
 from collections.abc import Callable
-from enum import Enum
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from rhec import paper
 from rhec.tracked_robot import tuning
 
-
-class TractionInput(Enum):
-    """What an estimator is passed of the true traction coefficients (μ, κ)."""
-
-    NONE = "nothing"
-    FIELD_MEAN = "field mean"
-    TRUE = "true traction"
-    TRUE_WITH_DRIFT = "true traction and yaw drift"
-    FULL_STATE = "truth"  # pose and speed, too
-
-    def select_traction(self, field_mean, true, true_with_drift=None):
-        """The traction (μ, κ) that the estimator is passed: the field's mean or the true one.
-
-        The true one may have the yaw drift as a third entry. An estimator that is passed neither
-        gets (1, 1), no slip.
-        """
-        passed = {
-            TractionInput.FIELD_MEAN: field_mean,
-            TractionInput.TRUE: true,
-            TractionInput.TRUE_WITH_DRIFT: true_with_drift,
-        }
-        return passed.get(self, np.ones(2))
+# What an estimator may be told, by the names of the loop's signals: the mean traction (μ, κ) of the
+# field, which one may know; the true one, and the true state, which no robot knows.
+TOLD = dict(mean_traction=(2, 1), traction=(2, 1), yaw_drift=(1, 1), truth=(6, 1))
 
 
 class Choice(NamedTuple):
@@ -43,6 +22,7 @@ class Choice(NamedTuple):
     arrival_mean: str
     dt_s: float = paper.DT_S
     sensors: tuple[str, ...] = ()
+    yaw_drift: bool = False
 
     @classmethod
     def of(cls, scenario):
@@ -53,7 +33,7 @@ class Choice(NamedTuple):
         """
         name = scenario.estimator
         noise = scenario.process_noise
-        noises = tuple(tuning.SIGMA_W.get(name, {}))
+        noises = tuple(tuning.noises_of(tuning.name_of_noise(scenario)))
         if noises and noise is not None and noise not in noises:
             expected = f"for the estimator {name!r} it should be None or one of {noises}"
             raise ValueError(f"process_noise was {noise!r}; {expected}")
@@ -63,6 +43,7 @@ class Choice(NamedTuple):
             scenario.speed_model,
             scenario.arrival_mean,
             sensors=scenario.sensors,
+            yaw_drift=scenario.yaw_drift,
         )
 
 
@@ -70,8 +51,7 @@ class EstimatorRecord(NamedTuple):
     """What a closed loop, a replay, a study or the C export must know of an estimator.
 
     Its step is a Function (memory, z_N, settings …) -> (memory, estimate, …), with estimate =
-    (x, y, θ, ν, μ, κ). Beyond its settings the step may have an input `traction` (2,) or
-    `truth` (6,), which `traction_input` describes.
+    (x, y, θ, ν, μ, κ). Beyond its settings the step may have inputs of TOLD.
     """
 
     build_step: Callable[[Choice], ca.Function]
@@ -81,5 +61,7 @@ class EstimatorRecord(NamedTuple):
     build_phases: Callable[[Choice], dict] | None = None  # where its step has the four phases
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
-    traction_input: TractionInput = TractionInput.NONE
-    has_yaw_drift: bool = False  # whether its step has a result `yaw_drift`
+    told: tuple[str, ...] = ()  # names of TOLD that its step takes
+    takes_yaw_drift: bool = False  # whether a Scenario's `yaw_drift` may be True
+    # whether its step has a result `yaw_drift`
+    has_yaw_drift: Callable[[Choice], bool] = lambda choice: False

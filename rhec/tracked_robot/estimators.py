@@ -8,19 +8,7 @@ from rhec.tracked_robot import filters, rhe
 from rhec.tracked_robot.own_estimator import Estimator
 
 # In the order of menus and messages.
-EstimatorName = Literal[
-    "rhe",
-    "rhe_fixed_traction",
-    "rhe_no_slip",
-    "ekf",
-    "augmented_ekf",
-    "bounded_ekf",
-    "fixed_traction",
-    "yaw_drift_ekf",
-    "oracle",
-    "traction_oracle",
-    "drift_oracle",
-]
+EstimatorName = Literal["rhe", "ekf", "bounded_ekf", "oracle"]
 NAMES = get_args(EstimatorName)
 
 

@@ -4,18 +4,23 @@ State ξ = (x, y, θ) [m, m, rad], input u = ω [rad/s], parameters p = (ν, μ,
 z = (x, y, ν, ω), eq. (5)-(8).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
 
 from rhec.core.model.base import Model
 from rhec.core.model.base import rk4 as rk4  # eq. (3)
+from rhec.tracked_robot.tuning import Noise
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
+YAW_DRIFT = "yaw_drift_radpm"  # one more parameter, not in the paper: see `f_with_drift`
 _OUTPUTS = ("x_m", "y_m", "nu_mps", "omega_radps")
 _TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}  # eq. (14)
 _LIMITS = (1e8, 1e8, 100.0, 100.0)
+# An encoder that measures nothing for a sample tells nothing: 1 m/s and 1 rad/s are full speed.
+SIGMA_HELD = {"nu_mps": 1.0, "omega_radps": 1.0}
 
 
 def f(xi, u, p):
@@ -56,20 +61,26 @@ def h(xi, u, p):
     return ca.vertcat(xi[0], xi[1], p[0], u)
 
 
-def _f_with_measured_speed(xi, u, p):
-    return f(xi, u[1], ca.vertcat(u[0], p))
+def _with_measured_speed(f):
+    """f(ξ, ω, p) with the speed as the first input instead of the first parameter."""
+    return lambda xi, u, p: f(xi, u[1], ca.vertcat(u[0], p))
+
+
+def _with_drift(model, f):
+    """A Model with the yaw drift as its last parameter, which has no bounds."""
+    return replace(model, parameters=model.parameters | {YAW_DRIFT: None}, f=f)
 
 
 class SpeedModel(NamedTuple):
-    """How a robot's speed enters its model, and the process noise that goes with it."""
+    """How a robot's speed enters its model, and the noise that goes with it."""
 
     model: Model
-    sigma_w: tuple | None = None  # its default, where `tuning.SIGMA_W` has none
+    noise: Noise | None = None  # its default, where `tuning.NOISES` has none
 
     @property
     def n_sigma_w(self):
         """Number of entries at the joint state's end that have process noise."""
-        return len(self.sigma_w or self.model.joint_names)
+        return len(self.noise.sigma_w if self.noise else self.model.joint_names)
 
 
 _PARAMETER = Model(
@@ -80,15 +91,22 @@ _PARAMETER = Model(
     f=f,
     h=h,
     max_measurement=_LIMITS,
+    sigma_held={"omega_radps": SIGMA_HELD["omega_radps"]},
 )
 _INPUT = Model(
     states=QUANTITIES[:3],
     inputs=("nu_mps", "omega_radps"),
     parameters=_TRACTION,
     outputs=_OUTPUTS,
-    f=_f_with_measured_speed,
+    f=_with_measured_speed(f),
     max_measurement=_LIMITS,
+    sigma_held=SIGMA_HELD,
 )
 # ν is one parameter of the window, as in the paper, or a measured input of each interval
 # (interpretation G13).
 SPEED_MODELS = {"parameter": SpeedModel(_PARAMETER), "input": SpeedModel(_INPUT)}
+# The same with the yaw drift, which is not in the paper.
+DRIFTING_SPEED_MODELS = {
+    "parameter": SpeedModel(_with_drift(_PARAMETER, f_with_drift)),
+    "input": SpeedModel(_with_drift(_INPUT, _with_measured_speed(f_with_drift))),
+}

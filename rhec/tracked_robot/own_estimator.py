@@ -1,20 +1,26 @@
 """An estimator of one's own in the place of the paper's, for `Scenario.estimator`."""
 
 import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
+from rhec import paper
+from rhec.core._casadi.validation import refuse
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
 from rhec.tracked_robot import choice, tuning
-from rhec.tracked_robot.choice import TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.choice import TOLD
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
+from rhec.tracked_robot.rhe import SIGMA_START
 
 _ONE = (1, 1)
 _INPUTS = MEMORY, "z_N"
 _RESULTS = MEMORY, "estimate"
+_FIRST = ("guess", "sigma")
+_KNOWN_FIRST = (*QUANTITIES, YAW_DRIFT)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,11 +32,15 @@ class Estimator(OwnStep):
     it may have besides goes by name. It may take
 
     - `V` (4): the variances of the measurement noise, from the Scenario's `sigma_v`,
-    - `truth` (6): the true (x, y, θ, ν, μ, κ), which no recorded log and no robot has,
+    - `W` (n): the variances of its process noise, from the Scenario's `sigma_w` or `process_noise`,
+    - `mean_traction` (2): the field's mean (μ, κ), which no recorded log has,
+    - `traction` (2), `yaw_drift` (1) and `truth` (6): the true (μ, κ), yaw drift [rad/m] and
+      (x, y, θ, ν, μ, κ), which no recorded log and no robot has,
 
     and it may return
 
     - `covariance` (n, n): of its states, which a controller may take,
+    - `yaw_drift`: an estimated yaw drift [rad/m], which the loop cancels,
     - `accepted` (4): whether it used each entry of z (by default, each valid one),
     - `ok`: whether it solved its problem (by default 1), and `kkt`, how well (by default NaN),
     - `deviance`, of the innovation, and `restart`, whether it began anew, for the log.
@@ -39,14 +49,25 @@ class Estimator(OwnStep):
         step: The Function.
         memory: The first memory, numbers, behind the first guess of the estimate, with which it
             begins; numbers that are left out are 0.
+        first: Instead of `memory`, a CasADi Function from the first `guess` (6), and from its
+            standard deviations `sigma` (6), or (7) with that of the yaw drift, if it takes them, to
+            the first memory.
+        states: Names of what the covariance covers, in its order.
+        noises: {process_noise: (sigma_w, sigma_v)}: W, and V where `sigma_v` is None, by the rules
+            of `Scenario.process_noise`. None: `sigma_w` has to be given.
 
     Raises:
         ValueError: If names or lengths do not fit; one sentence.
     """
 
-    signals: ClassVar[dict] = dict(z_N=(4, 1), V=(4, 1), truth=(6, 1))
+    first: ca.Function | None = None
+    states: Sequence[str] = ()
+    noises: Mapping[str, tuple] | None = None
+
+    _carried: ClassVar[tuple] = ("first", "_first_key", "states", "noises")
+    signals: ClassVar[dict] = dict(z_N=(4, 1), V=(4, 1), W=None) | TOLD
     results: ClassVar[dict] = dict(estimate=(6, 1), covariance=None, accepted=(4, 1), ok=_ONE)
-    results |= dict(kkt=_ONE, deviance=_ONE, restart=_ONE)
+    results |= dict(kkt=_ONE, deviance=_ONE, restart=_ONE, yaw_drift=_ONE)
 
     def __post_init__(self):
         if isinstance(self.step, ca.Function):
@@ -55,27 +76,76 @@ class Estimator(OwnStep):
         size = self.step.size_in(MEMORY)
         check_sizes("input", {MEMORY: size}, {MEMORY: (size[0], 1)})
         check_sizes("result", results_of(self.step), {MEMORY: size})
+        self._check_first(size)
+        n, _ = results_of(self.step).get("covariance", (0, 0))
+        states = tuple(self.states) or tuple(f"state {k}" for k in range(n))
+        if len(states) != n:
+            refuse("states was", states, f"it should have {n} names, as the covariance has rows")
+        object.__setattr__(self, "states", states)
+        n_w = self._n_sigma_w
+        noises = {
+            rule: tuning.Noise(sigma_w, sigma_v or paper.SIGMA_V)
+            for rule, (sigma_w, sigma_v) in (self.noises or {}).items()
+        }
+        for rule, noise in noises.items():
+            if len(noise.sigma_w) != n_w:
+                refuse(f"sigma_w of {rule!r} was", noise.sigma_w, f"it should have {n_w} entries")
+        object.__setattr__(self, "noises", noises)
+
+    def _check_first(self, size):
         room = max(0, size[0] - len(QUANTITIES))
         if len(self.memory) > room:
             raise ValueError(
                 f"memory had {len(self.memory)} numbers; behind the first guess the memory of step "
                 f"has room for {room}"
             )
+        if self.first is None:
+            return
+        if not isinstance(self.first, ca.Function) or not {*self.first.name_in()} <= {*_FIRST}:
+            refuse("first was", self.first, f"it should be a CasADi Function of {_FIRST}, or None")
+        if self.memory or self.first.size_out(0) != size:
+            expected = f"it should return a memory of {size}, and memory should be ()"
+            raise ValueError(f"first returned {self.first.size_out(0)}; {expected}")
+
+    @property
+    def _state(self):
+        return self.key, self.memory, self._first_key, self.states, tuple(self.noises.items())
+
+    @functools.cached_property
+    def _first_key(self):
+        return self.first.serialize() if self.first else None
+
+    @property
+    def _n_sigma_w(self):
+        return self.step.size1_in("W") if "W" in self.step.name_in() else 0
 
     @functools.cached_property
     def row(self):
         """What a loop must know of it."""
-        n, _ = results_of(self.step).get("covariance", (0, 0))
-        has_truth = "truth" in inputs_of(self.step)
+        taken = inputs_of(self.step)
         return choice.EstimatorRecord(
             build_step=lambda choice: self.step,
             init=self._init,
-            settings=lambda scenario: dict(V=np.square(tuning.sigma_v_of(scenario))),
-            states=lambda choice: tuple(f"state {k}" for k in range(n)),
-            traction_input=TractionInput.FULL_STATE if has_truth else TractionInput.NONE,
+            settings=self._settings,
+            states=lambda choice: self.states,
+            n_sigma_w=lambda choice: self._n_sigma_w,
+            told=tuple(name for name in TOLD if name in taken),
+            has_yaw_drift=lambda choice: "yaw_drift" in self.step.name_out(),
         )
 
-    def _init(self, choice, guess, sigma=None):
+    def _settings(self, scenario):
+        if self._n_sigma_w:
+            return tuning.variances_of(self, scenario)
+        return dict(V=np.square(tuning.sigma_v_of(scenario)))
+
+    def _init(self, choice, guess, sigma=SIGMA_START):
+        if self.first:
+            given = dict(guess=guess, sigma=SIGMA_START | dict(sigma))
+            arguments = [
+                [given[name][quantity] for quantity in _KNOWN_FIRST[: self.first.size1_in(name)]]
+                for name in self.first.name_in()
+            ]
+            return {MEMORY: self.first(*arguments).full().ravel(order="F")}
         length = self.step.numel_in(MEMORY)
         begin = [*guess.values()][: len(QUANTITIES)]
         return {MEMORY: np.concatenate([begin, self.memory, np.zeros(length)])[:length]}

@@ -14,11 +14,12 @@ from rhec.core.controller import rhc
 from rhec.core.controller.options import Problem
 from rhec.core.estimator import rhe
 from rhec.core.estimator.base import with_deviations
-from rhec.tracked_robot import options
+from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
-from rhec.tracked_robot.sensors import OUTPUTS, speed_model_of
+from rhec.tracked_robot.sensors import OUTPUTS, refuse_drift_with, speed_model_of
+from rhec.tracked_robot.yaw_disturbance import disturbance_of
 
 
 class Estimate(NamedTuple):
@@ -26,7 +27,8 @@ class Estimate(NamedTuple):
 
     The joint state is (x, y, θ, ν, μ, κ), without ν where that is an input. With tracks that slip
     (x, y) is the antenna's place, and the joint state is (x, y, θ, l_f, l_l, μ, κ). The covariance
-    does not take the bounds of μ and κ into account.
+    does not take the bounds of μ and κ into account. The yaw drift δ [rad/m] is None where it is
+    not estimated; where it is, it ends the joint state.
     """
 
     x: float
@@ -36,6 +38,7 @@ class Estimate(NamedTuple):
     mu: float
     kappa: float
     covariance: np.ndarray
+    yaw_drift: float | None = None
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -49,8 +52,11 @@ class Estimate(NamedTuple):
 
     def __repr__(self):
         sigma = np.sqrt(np.diag(self.covariance))
-        sigma_nu = sigma[3] if len(sigma) == 6 else np.nan  # otherwise ν is an input
-        return with_deviations(QUANTITIES, self[:6], [*sigma[:3], sigma_nu, *sigma[-2:]])
+        drift = [] if self.yaw_drift is None else [self.yaw_drift]
+        of_paper, of_drift = np.split(sigma, [len(sigma) - len(drift)])
+        sigma_nu = of_paper[3] if len(of_paper) == 6 else np.nan  # otherwise ν is an input
+        deviations = [*of_paper[:3], sigma_nu, *of_paper[-2:], *of_drift]
+        return with_deviations((*QUANTITIES, YAW_DRIFT), [*self[:6], *drift], deviations)
 
 
 class RHE(rhe.RHE):
@@ -63,7 +69,7 @@ class RHE(rhe.RHE):
     Args:
         dt: Length of a sample [s].
         horizon: Intervals of the window.
-        process_noise: W by name, see Scenario.
+        process_noise: The rule that picked W and V, see Scenario.
         sigma_w: Standard deviations of the process noise; None: those of `process_noise`.
         sigma_v: Standard deviations of z; None: those of `process_noise`.
         speed_model: "parameter", "input" or "slipping", see Scenario.
@@ -73,6 +79,7 @@ class RHE(rhe.RHE):
         sigma_gyro: Noise of the gyro: constant [rad/s], and as a share of ω, see Scenario.
         sigma_heading: Standard deviation of the heading [rad].
         track_width_m: b [m].
+        yaw_drift: Whether the yaw drift is estimated, too, see Scenario and `RHC.disturbance`.
         guess: First (x, y, θ, ν, μ, κ). By default the first measurement's position and speed, yaw
             0 and no slip, with a standard deviation of the yaw of a right angle.
 
@@ -86,7 +93,7 @@ class RHE(rhe.RHE):
         *,
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
-        process_noise: options.ProcessNoise = "printed",
+        process_noise: options.ProcessNoise = tuning.DEFAULT_RULE,
         sigma_w: valid.NotNegatives | None = None,
         sigma_v: options.SigmaV | None = None,
         speed_model: options.SpeedModel = "parameter",
@@ -96,10 +103,13 @@ class RHE(rhe.RHE):
         sigma_gyro: options.SigmaGyro | None = None,
         sigma_heading: valid.Positive | None = None,
         track_width_m: valid.Positive = paper.TRACK_WIDTH_M,
+        yaw_drift: valid.Flag = False,
         guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
         | None = None,
     ):
-        n_w = speed_model_of(speed_model).n_sigma_w
+        if yaw_drift:
+            refuse_drift_with(speed_model)
+        n_w = speed_model_of(speed_model, yaw_drift=yaw_drift).n_sigma_w
         if sigma_w is not None and len(sigma_w) != n_w:
             expected = f"with speed_model {speed_model!r} it should have {n_w} entries"
             raise ValueError(f"sigma_w was {sigma_w!r}; {expected}")
@@ -117,6 +127,7 @@ class RHE(rhe.RHE):
             sigma_gyro=sigma_gyro,
             sigma_heading=sigma_heading,
             track_width_m=track_width_m,
+            yaw_drift=yaw_drift,
         )
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
@@ -140,7 +151,8 @@ class RHE(rhe.RHE):
 
     def _estimate(self):
         values, covariance = self._result
-        return Estimate(*values.tolist(), covariance.copy())
+        estimate = values.tolist()  # it ends with the yaw drift, where that is estimated
+        return Estimate(*estimate[:6], covariance.copy(), *estimate[6:])
 
 
 class RHC(rhc.RHC):
@@ -153,7 +165,7 @@ class RHC(rhc.RHC):
         omega_max: Bound on ω [rad/s], eq. (16).
         dt: Length of a sample [s].
         horizon: Intervals of the prediction.
-        qp: What solves the QP, see `rhec.core.controller.horizon.Horizon`; None: by its stages.
+        qp: What solves the QP, see `rhec.core.controller.stages.Stages`; None: an active set.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -182,16 +194,35 @@ class RHC(rhc.RHC):
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
         # A memoryview returns a float faster than an array does.
         self._plan = memoryview(self.iteration.arrays["u_plan"])
+        self._disturbance = 0.0
 
     def _problem_of(self, options):
         problem = super()._problem_of(options)
-        if problem.structure is not problem.plain:
+        if problem.stages.is_general:
             return problem
         # The paper's iterations are full steps.
-        horizon = problem.plain._replace(damped=False, qp=self._qp)
-        return Problem(horizon, horizon, problem.settings)
+        return Problem(problem.stages._replace(damped=False, qp=self._qp), problem.settings)
 
-    def feedback(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any) -> float:
+    def disturbance(self, estimate: Estimate) -> float:
+        """The yaw rate d [rad/s] that the soil adds to that of the tracks, θ' = κ (ω + d).
+
+        `references` of a PathTracker takes ω + d as the measured yaw rate, and `feedback` takes d.
+        At most half of omega_max is d, which leaves the rest for steering.
+
+        Args:
+            estimate: The Estimate of a rhec.RHE.
+
+        Returns:
+            d = μνδ/κ of the estimated yaw drift δ; 0 where that is not estimated.
+        """
+        if estimate.yaw_drift is None:
+            return 0.0
+        upper = self.settings["upper"].item()
+        return float(disturbance_of(*estimate.p, estimate.yaw_drift, upper))
+
+    def feedback(
+        self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, disturbance: float = 0.0
+    ) -> float:
         """Yaw rate [rad/s] to command, by one Gauss-Newton step, eq. (13).
 
         Args:
@@ -199,15 +230,26 @@ class RHC(rhc.RHC):
             p: (3,) estimated (ν, μ, κ).
             xi_ref: (3, N+1) desired poses, eq. (17)-(18); node 0 is now and has no weight.
             omega_ref: (N,) desired yaw rates.
+            disturbance: d [rad/s], that of the method `disturbance`. The plan is of ω + d, within
+                bounds moved by d.
 
         Returns:
-            The first of the planned yaw rates.
+            The first of the planned yaw rates, less d.
         """
         self._set_inputs(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
+        self._count_in(disturbance)
         self.iteration.feedback()
-        return self._plan[0]
+        return self._plan[0] - disturbance
 
-    def solve(self, pose: Any, p: Any, xi_ref: Any, omega_ref: Any, iterations: int = 20) -> float:
+    def solve(
+        self,
+        pose: Any,
+        p: Any,
+        xi_ref: Any,
+        omega_ref: Any,
+        iterations: int = 20,
+        disturbance: float = 0.0,
+    ) -> float:
         """Iterate to convergence on the nonlinear problem, by full steps, all of them.
 
         Args:
@@ -216,18 +258,27 @@ class RHC(rhc.RHC):
             xi_ref: (3, N+1) desired poses.
             omega_ref: (N,) desired yaw rates.
             iterations: Gauss-Newton steps.
+            disturbance: d [rad/s], as in `feedback`.
 
         Returns:
-            The first of the planned yaw rates.
+            The first of the planned yaw rates, less d.
         """
         self._set_inputs(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
+        self._count_in(disturbance)
         self.iteration.solve(iterations)
-        return self._plan[0]
+        return self._plan[0] - disturbance
+
+    def _count_in(self, disturbance):
+        """Move the bounds by a disturbance."""
+        if disturbance or self._disturbance:
+            for name in ("lower", "upper"):
+                self.iteration.arrays[name][:] = self.settings[name] + disturbance
+            self._disturbance = disturbance
 
     @property
     def omega_plan(self) -> np.ndarray:
         """Planned yaw rates (N,) [rad/s]."""
-        return self.u_plan[0]
+        return self.u_plan[0] - self._disturbance
 
     @property
     def xi_plan(self) -> np.ndarray:

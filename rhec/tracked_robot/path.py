@@ -6,12 +6,17 @@ arc length s [m] with the pose (x, y, θ) and has the curvature c [1/m].
 
 import functools
 from dataclasses import dataclass
-from math import pi
+from math import atan2, pi
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked, numbers, shown
+
+# Which way a path turns at the ends of its rows (interpretation G18), in the order of menus.
+Turns = Literal["alternate", "left", "right", "figure_of_eight"]
+_BESIDE = 0.25  # of a turn's radius: how far the way back of a field passes beside its turns
 
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
@@ -42,7 +47,7 @@ def ahead_and_left(dx, dy, theta, lib):
 
 @dataclass(frozen=True, repr=False)
 class Path:
-    """Lines and arcs one after the other; build it with `from_segments` or `racetrack`.
+    """Lines and arcs one after the other; build it with `rows` or `from_segments`.
 
     Attributes:
         segments: (M, 5) rows (s, x, y, θ, c) as above.
@@ -109,8 +114,32 @@ class Path:
 
     @classmethod
     @checked
+    def rows(cls, row_length_m: Positive, radius_m: Positive, turns: Turns = "alternate") -> "Path":
+        """Rows that are joined by turns; the first row runs along the x axis from the origin.
+
+        "alternate": four rows and half circles to alternate sides, as a field is worked, to the
+        left first; then back along the headland, so that any drive has a finite field. "left" and
+        "right": two rows, and half circles to one side. "figure_of_eight": two rows that cross,
+        and longer arcs to alternate sides.
+
+        Args:
+            row_length_m: Length of a row [m].
+            radius_m: Radius of the turns [m].
+            turns: Which way the path turns.
+
+        Returns:
+            The Path, which is closed.
+
+        Raises:
+            ValueError: If a length is not above 0, or the radius too small for its curvature.
+        """
+        if 1 / radius_m > 1e100:  # the largest Real
+            raise ValueError(f"radius_m was {radius_m}; it must be at least 1e-100")
+        return _rows(row_length_m, radius_m, turns)
+
+    @classmethod
     def racetrack(cls, row_length_m: Positive, radius_m: Positive) -> "Path":
-        """Two rows, joined by half circles on the headlands.
+        """Two rows that half circles to the left join: `rows` with turns to the left.
 
         Args:
             row_length_m: Length of a row [m].
@@ -120,11 +149,9 @@ class Path:
             The Path.
 
         Raises:
-            ValueError: If a length is not above 0, or the radius too small for its curvature.
+            ValueError: As `rows` does.
         """
-        if 1 / radius_m > 1e100:  # the largest Real
-            raise ValueError(f"radius_m was {radius_m}; it must be at least 1e-100")
-        return _racetrack(row_length_m, radius_m)
+        return cls.rows(row_length_m, radius_m, "left")
 
     @property
     def period_m(self) -> float:
@@ -192,13 +219,52 @@ def _check_closed(start, end, length_m):
 
 def path_of(scenario):
     """The path that a Scenario's robot follows."""
-    return scenario.path or Path.racetrack(scenario.row_length_m, scenario.headland_radius_m)
+    if scenario.path:
+        return scenario.path
+    return Path.rows(scenario.row_length_m, scenario.headland_radius_m, scenario.turns)
 
 
 @functools.lru_cache(maxsize=16)  # the runs of a campaign share it
-def _racetrack(row_length_m, radius_m):
-    pieces = [(row_length_m, 0.0), (pi * radius_m, 1 / radius_m)]
-    return Path.from_segments(pieces * 2, closed=True)
+def _rows(row_length_m, radius_m, turns):
+    """The path of `Path.rows`."""
+    return Path.from_segments(_PIECES[turns](row_length_m, radius_m), closed=True)
+
+
+def _turn(angle_rad, radius_m, side):
+    """An arc of this angle to the left (side 1) or to the right (-1)."""
+    return angle_rad * radius_m, side / radius_m
+
+
+def _alternate(row_length_m, radius_m):
+    """Four rows, the turns between them, and the way back: no two parts of it touch."""
+    row = row_length_m, 0.0
+    left = _turn(pi, radius_m, 1)
+    right = _turn(pi, radius_m, -1)
+    corner = _turn(pi / 2, radius_m, 1)
+    beside_m = _BESIDE * radius_m
+    # The rows are 2 R apart, and the corners take R at either end of the way back.
+    back = [(beside_m, 0.0), corner, (4 * radius_m, 0.0), corner, (beside_m, 0.0)]
+    return [row, left, row, right, row, left, row, *back]
+
+
+def _one_sided(side):
+    """Two rows and half circles to one side, as a function (row_length_m, radius_m)."""
+    return lambda row_length_m, radius_m: [(row_length_m, 0.0), _turn(pi, radius_m, side)] * 2
+
+
+def _figure_of_eight(row_length_m, radius_m):
+    """Two rows that cross in their middles at the angle 2φ, tan φ = 2R / L; arcs turn by π + 2φ."""
+    row = row_length_m, 0.0
+    angle_rad = pi + 2 * atan2(2 * radius_m, row_length_m)
+    return [row, _turn(angle_rad, radius_m, 1), row, _turn(angle_rad, radius_m, -1)]
+
+
+_PIECES = {
+    "alternate": _alternate,
+    "left": _one_sided(1),
+    "right": _one_sided(-1),
+    "figure_of_eight": _figure_of_eight,
+}
 
 
 def _on_line(ahead, left, length):

@@ -7,6 +7,8 @@ traction of its own, the robot may turn about a point ahead of its middle, and r
 docs/world.md says which of these a world has, and why.
 """
 
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
@@ -51,8 +53,18 @@ _STREAM_OF_ALL_BUT_SPEED = 1
 _STREAM_OF_SPEED = 4
 
 
-def draw_noise(seed, samples):
-    """Standard normal noise of a seed, (samples, n), each row NOISE packed.
+class Normal(NamedTuple):
+    """Standard normal numbers of one of a seed's random streams; no fault is in them."""
+
+    stream: int
+
+    def __call__(self, seed, samples, faults=()):
+        """The numbers (samples, 1)."""
+        return standard_normal(seed, self.stream, samples, 1)
+
+
+def draw_noise(seed, samples, faults=()):
+    """Standard normal noise of a seed, (samples, n), each row NOISE packed; no fault is in it.
 
     The first rows are those of fewer samples. The noise of the speed comes last and from a separate
     stream, so that all else is the same with and without it.
@@ -196,22 +208,6 @@ def _build_both_tracks():
     return both
 
 
-def pair_with_next_interval(n_z):
-    """Interpretation G16 as a Function (z, newest_omega) -> (z, newest_omega).
-
-    An estimator takes the ω in z for that of the interval that ends at the sample. With the ω of
-    the sample before in its place, the ω measured at t_i belongs to the interval from t_i on, and
-    the newest one, `newest_omega`, is not used yet. The `n_z` - 4 further entries of z, those of
-    other sensors, stay with their sample.
-    """
-
-    @casadi_function("pair", z=(n_z, 1), newest_omega=(1, 1))
-    def pair(z, newest_omega):
-        return dict(z=ca.vertcat(z[:3], newest_omega, z[4:]), newest_omega=z[3])
-
-    return pair
-
-
 def drive(dt_s):
     """One sample of driving as a Function.
 
@@ -304,7 +300,6 @@ def init(pose, speed_mps):
         pose=np.array(pose),
         tracks=np.full(2, speed_mps),
         integral=np.zeros(2),
-        drift=np.zeros(2),
         encoders=np.array([speed_mps, 0.0]),
         rut=0.0,
         running=0.0,

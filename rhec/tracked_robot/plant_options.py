@@ -1,4 +1,4 @@
-"""What not every simulated robot has: gyro, heading, and side slip that lasts. Not in the paper.
+"""What not every simulated robot has: gyro and heading. Not in the paper.
 
 Each is a block of the loop, with its own noise and memory; a robot without it does without them.
 """
@@ -7,21 +7,12 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.tracked_robot.plant import MEMORY, gauss_markov
+from rhec.tracked_robot.plant import MEMORY, Normal
 
 _ONE = (1, 1)
-# Settings, by the names of Scenario's parameters.
-SETTINGS = (
-    "gyro_sigma_radps",
-    "gyro_bias_radps",
-    "gyro_scale",
-    "heading_sigma_rad",
-    "side_slip_rad",
-    "side_slip_time_s",
-)
-# The random streams of a seed for their noise, (samples, 1), by the names of the signals; others
-# belong to the plant and the faults.
-STREAMS = dict(gyro_noise=5, heading_noise=6, side_slip_noise=7)
+# Random streams of a seed; others belong to the plant and the faults.
+GYRO_NOISE = Normal(5)
+HEADING_NOISE = Normal(6)
 
 
 def gyro(dt_s):
@@ -82,33 +73,3 @@ def within_a_turn(n_z):
         return dict(z=ca.vertcat(z[:-1], heading - 2 * np.pi * turns))
 
     return within_a_turn
-
-
-def slip_sideways(dt_s):
-    """Side slip that lasts, as on ice, as a Function (pose, driven, …) -> (pose, slip_angle).
-
-    The robot's course differs from its yaw by an angle, a first-order Gauss-Markov process of the
-    standard deviation side_slip_rad and the time constant side_slip_time_s. The way of a sample,
-    from `pose` to `driven`, is turned by it; the yaw is not.
-    """
-
-    @casadi_function(
-        "slip_sideways",
-        pose=MEMORY["pose"],
-        driven=MEMORY["pose"],
-        running=MEMORY["running"],
-        side_slip_noise=_ONE,
-        slip_angle=_ONE,
-        side_slip_rad=_ONE,
-        side_slip_time_s=_ONE,
-    )
-    def slip(pose, driven, running, side_slip_noise, slip_angle, side_slip_rad, side_slip_time_s):
-        keep = running * ca.exp(-dt_s / side_slip_time_s)
-        slip_angle = gauss_markov(keep, slip_angle, side_slip_noise)
-        way = driven[:2] - pose[:2]
-        cosine = ca.cos(side_slip_rad * slip_angle)
-        sine = ca.sin(side_slip_rad * slip_angle)
-        turned = ca.vertcat(cosine * way[0] - sine * way[1], sine * way[0] + cosine * way[1])
-        return dict(pose=ca.vertcat(pose[:2] + turned, driven[2]), slip_angle=slip_angle)
-
-    return slip

@@ -7,14 +7,13 @@ from rhec import paper
 from rhec.core.estimator import rhe
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
-from rhec.core.model.base import Model
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import EstimatorRecord, TractionInput
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f
+from rhec.tracked_robot.choice import EstimatorRecord
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
-SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE))
+SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: tuning.SIGMA_YAW_DRIFT}
 _SIGMA_KNOWN = 1e-3
 # A gyro's bias and scale; and the last inputs of a model that holds them.
 _SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
@@ -32,35 +31,16 @@ JUDGE = InnovationGate(
     half_turn=HalfTurn("theta_rad", "mu"),
 )
 
-# An RHE that is told the traction shows what estimating it is worth. Here (μ, κ) are inputs that
-# are measured almost exactly.
-_SIGMA_HELD = 1e-6
-_HELD = Model(
-    states=QUANTITIES[:3],
-    inputs=("omega_radps", "mu", "kappa"),
-    parameters={"nu_mps": None},
-    outputs=("x_m", "y_m", "nu_mps", "omega_radps", "mu", "kappa"),
-    f=lambda xi, u, p: f(xi, u[0], ca.vertcat(p, u[1:])),
-    max_measurement=(*SPEED_MODELS["parameter"].model.limits, 2.0, 2.0),
-)
-
 
 def window_of(choice):
-    """The Window of a Choice; the RHE within other estimators has the paper's speed model."""
-    model = speed_model_of("parameter").model
-    if choice.estimator == "rhe":
-        model = speed_model_of(choice.speed_model, choice.sensors).model
-    return _window(model, choice)
-
-
-def _window(model, choice):
+    """The Window of a Choice."""
     return rhe.Window(
-        model,
+        speed_model_of(choice.speed_model, choice.sensors, choice.yaw_drift).model,
         choice.dt_s,
         choice.estimation_horizon,
         choice.arrival_mean,
         JUDGE,
-        quantities=QUANTITIES,
+        quantities=(*QUANTITIES, YAW_DRIFT) if choice.yaw_drift else QUANTITIES,
     )
 
 
@@ -81,7 +61,8 @@ def init(window, guess, sigma=SIGMA_START):
 
 def sigma_start(model, sigma=SIGMA_START):
     """Standard deviations of the joint state at the start, from those by name."""
-    known = dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | _SIGMA_GYRO_START | dict(sigma)
+    known = SIGMA_START | dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | _SIGMA_GYRO_START
+    known |= dict(sigma)
     return np.array([known.get(name, _SIGMA_KNOWN) for name in model.joint_names])
 
 
@@ -93,10 +74,11 @@ def settings_of(scenario, dt_s=paper.DT_S):
         dt_s: Length of a sample [s].
     """
     sensors = scenario.sensors
-    speed_model = speed_model_of(scenario.speed_model, sensors)
+    speed_model = speed_model_of(scenario.speed_model, sensors, scenario.yaw_drift)
+    noise = speed_model.noise or tuning.noise_of(tuning.name_of_noise(scenario), scenario)
     of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
-        V=np.square((*tuning.sigma_v_of(scenario), *of_sensors)),
+        V=np.square((*(scenario.sigma_v or noise.sigma_v), *of_sensors)),
         W=np.square(_sigma_w(scenario, speed_model, dt_s)),
         P_0=np.square(sigma_start(speed_model.model)),
         m_0=np.array([_RESTART.get(name, 0.0) for name in speed_model.model.joint_names]),
@@ -116,12 +98,13 @@ def _sigma_w(scenario, speed_model, dt_s):
     `sigma_w` of a scenario covers what the model without sensors estimates. The bias of a gyro
     wanders besides. Where the model has motion noise, its constants say how much.
     """
-    plain = speed_model_of(scenario.speed_model)
+    plain = speed_model_of(scenario.speed_model, yaw_drift=scenario.yaw_drift)
     names = plain.model.joint_names
     sigma_w = scenario.sigma_w
     if sigma_w is None:
-        tuned = dict(zip(QUANTITIES, tuning.SIGMA_W["rhe"][tuning.process_noise_of(scenario)]))
-        sigma_w = plain.sigma_w or [tuned[name] for name in names]
+        noise = tuning.noise_of(tuning.name_of_noise(scenario), scenario)
+        tuned = dict(zip((*QUANTITIES, YAW_DRIFT), noise.sigma_w))
+        sigma_w = plain.noise.sigma_w if plain.noise else [tuned[name] for name in names]
     sigma = dict(zip(names[-plain.n_sigma_w :], sigma_w))
     if not speed_model.model.motion_noise:
         sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
@@ -130,40 +113,26 @@ def _sigma_w(scenario, speed_model, dt_s):
 
 def build_phases(choice):
     """The phases and the step of the RHE of a Choice."""
-    return rhe.build_phases(window_of(choice))
+    return _phases_of(window_of(choice), choice)
 
 
-def _window_held(choice):
-    return _window(_HELD, choice)
+def _phases_of(window, choice):
+    """The phases and the step of a Window, with the yaw drift as a result of its own."""
+    phases = rhe.build_phases(window)
+    if not choice.yaw_drift:
+        return phases
+    return phases | {name: with_drift_apart(phases[name]) for name in ("feedback", "step")}
 
 
-def _build_held_step(choice):
-    """The RHE with the traction held, as a Function (memory, z_N, V, W, m_0, P_0, traction)."""
-    step = rhe.build_phases(_window_held(choice))["step"]
-    names = ("memory", "z_N", "V", "W", "m_0", "P_0")
-    inputs = {name: ca.MX.sym(name, step.sparsity_in(name)) for name in names}
-    inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), traction=ca.MX.sym("p", 2))
-    # The traction is appended to the measurements.
-    z_N = ca.vertcat(inputs["z_N"], inputs["traction"])
-    V = ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2)
-    values = inputs | dict(z_N=z_N, V=V)
-    results = step.call([values[name] for name in step.name_in()])
+def with_drift_apart(phase):
+    """A Function whose `estimate` ends with the yaw drift, with the result `yaw_drift` instead."""
+    inputs = phase.mx_in()
+    results = dict(zip(phase.name_out(), phase.call(inputs)))
+    estimate = results["estimate"]
+    results |= dict(estimate=estimate[:-1], yaw_drift=estimate[-1])
     options = {"allow_duplicate_io_names": True}
-    return ca.Function("held", [*inputs.values()], results, [*inputs], step.name_out(), options)
-
-
-def _held(name, traction_input):
-    return EstimatorRecord(
-        build_step=_build_held_step,
-        init=lambda choice, guess, sigma=SIGMA_START: init(_window_held(choice), guess, sigma),
-        settings=lambda scenario: dict(
-            **tuning.variances_of(name, scenario),
-            P_0=np.square([SIGMA_START[state] for state in _HELD.joint_names]),
-            m_0=np.zeros(_HELD.n_s),
-        ),
-        states=lambda choice: _HELD.joint_names,
-        n_sigma_w=lambda choice: 4,
-        traction_input=traction_input,
+    return ca.Function(
+        phase.name(), inputs, [*results.values()], phase.name_in(), [*results], options
     )
 
 
@@ -174,8 +143,10 @@ ESTIMATORS = {
         init=lambda choice, guess, sigma=SIGMA_START: init(window_of(choice), guess, sigma),
         settings=settings_of,
         states=lambda choice: window_of(choice).model.joint_names,
-        n_sigma_w=lambda choice: speed_model_of(choice.speed_model).n_sigma_w,
-    ),
-    "rhe_fixed_traction": _held("rhe_fixed_traction", TractionInput.FIELD_MEAN),
-    "rhe_no_slip": _held("rhe_no_slip", TractionInput.NONE),
+        n_sigma_w=lambda choice: (
+            speed_model_of(choice.speed_model, yaw_drift=choice.yaw_drift).n_sigma_w
+        ),
+        takes_yaw_drift=True,
+        has_yaw_drift=lambda choice: choice.yaw_drift,
+    )
 }

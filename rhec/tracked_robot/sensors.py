@@ -14,7 +14,7 @@ import casadi as ca
 
 from rhec.core.model.base import Model, MotionNoise
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
+from rhec.tracked_robot.kinematics import DRIFTING_SPEED_MODELS, SPEED_MODELS, SpeedModel
 
 # The outputs of the sensors, in the order in which they follow (x, y, ν, ω).
 OUTPUTS = {"gyro": "gyro_radps", "heading": "heading_rad"}
@@ -25,10 +25,22 @@ GYRO_GUESS = {"gyro_bias_radps": 0.0, "gyro_scale": 1.0}
 _ERROR = "gyro_error_radps"
 
 
+def refuse_drift_with(speed_model):
+    """Refuse a speed model that has no yaw drift."""
+    if speed_model not in DRIFTING_SPEED_MODELS:
+        expected = f"with yaw_drift it should be one of {tuple(DRIFTING_SPEED_MODELS)}"
+        raise ValueError(f"speed_model was {speed_model!r}; {expected}")
+
+
 @functools.cache
-def speed_model_of(name, sensors=()):
-    """The SpeedModel of a Scenario's `speed_model` and `sensors`, a tuple of names of OUTPUTS."""
-    if name == "slipping":
+def speed_model_of(name, sensors=(), yaw_drift=False):
+    """The SpeedModel of a Scenario's `speed_model`, `sensors` and `yaw_drift`.
+
+    `sensors` is a tuple of names of OUTPUTS.
+    """
+    if yaw_drift:
+        speed_model = DRIFTING_SPEED_MODELS[name]
+    elif name == "slipping":
         # Imported here, because it is not in the paper: most runs do without it.
         from rhec.tracked_robot.slipping import SLIPPING as speed_model
     else:
@@ -41,8 +53,9 @@ def _with_sensors(speed_model, sensors):
     base = speed_model.model
     has_gyro = "gyro" in sensors
     n_u = len(base.inputs)
-    n_fixed = len(base.parameters) - 2  # all but μ and κ, which stay the last ones
     names = [*base.parameters]
+    n_fixed = names.index("mu")  # from μ on they stay the last ones
+    n_last = len(names) - n_fixed
     bounds = {name: base.parameters[name] for name in names[:n_fixed]}
     bounds |= GYRO if has_gyro else {}
     bounds |= {name: base.parameters[name] for name in names[n_fixed:]}
@@ -50,7 +63,7 @@ def _with_sensors(speed_model, sensors):
 
     def own(p):
         """The parameters of the Model without sensors."""
-        return ca.vertcat(p[:n_fixed], p[-2:])
+        return ca.vertcat(p[:n_fixed], p[-n_last:])
 
     def f(x, u, p):
         return base.dynamics(x, u[:n_u], own(p))
@@ -73,9 +86,10 @@ def _with_sensors(speed_model, sensors):
         h=h,
         max_measurement=(*base.limits, *(_LIMITS[name] for name in OUTPUTS if name in sensors)),
         angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
+        sigma_held=base.sigma_held,
         motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
     )
-    return SpeedModel(model, speed_model.sigma_w)
+    return SpeedModel(model, speed_model.noise)
 
 
 def _with_gyro_noise(base):

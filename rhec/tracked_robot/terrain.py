@@ -23,6 +23,7 @@ from pydantic import Field
 from scipy.special import betaincinv, ndtr
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, Whole, checked, numbers, shown
+from rhec.files import replacing
 from rhec.tracked_robot.options import Traction
 
 # In a checkout data/ stands beside the package, in a wheel inside it.
@@ -198,12 +199,8 @@ def _save_arrays(file, arrays):
     file = File(file)
     if file.suffix != ".npz":
         file = file.with_name(f"{file.name}.npz")
-    unfinished = file.with_name(f"{file.name}.unfinished")
-    try:
-        unfinished.write_bytes(content.getvalue())
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with replacing(file) as unfinished:
+        unfinished.write(content.getvalue())
 
 
 def _checked_field(name, values):
@@ -251,7 +248,7 @@ def box_of(scenario, path):
     length = box[1] - box[0]
     width = box[3] - box[2]
     if not np.ceil(length / _CELL_M) * np.ceil(width / _CELL_M) <= _MOST_CELLS:
-        names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m"]
+        names = ["path"] if scenario.path else ["row_length_m", "headland_radius_m", "turns"]
         given = ", ".join(f"{name} {shown(getattr(scenario, name))}" for name in names)
         raise ValueError(
             f"start_offset_m was {scenario.start_offset_m!r} with {given}; they need a field of "

@@ -1,75 +1,92 @@
-"""Every tuned process noise W in one place, with its source: standard deviations per sample.
+"""Every tuned noise in one place, with its source: standard deviations per sample.
 
 Each is named by the rule that picked it. All but the last were tuned in the default world, with the
-arrival mean "filtered", on training seeds that no result uses (`notebooks/studies/calibration.py`):
+arrival mean "filtered", on training seeds that no result uses (`notebooks/studies/calibration.py`
+writes `tuned.csv`, which has the seeds and the objective of each as well):
 
 - "printed" is the paper's, to the letter (interpretations G1, G2).
-- "likelihood" maximises the likelihood of the innovations, seeds 1000 to 1009.
-- "consistent" has the least true error among those whose covariance matches the errors (NEES ≈ 1),
-  same seeds.
-- "tracking" has the least true error of a robot that drives with the paper's weights, R = 10, seeds
-  1000 to 1023.
-- "soft_soil" is as "likelihood" on soil that slips as much as that under recorded robots, which
-  they are used on (`calibration.SOFT_SOIL`). There "likelihood" loses its heading.
+- "consistent" has the least true error among those whose covariance matches the errors (NEES ≈ 1).
+- "prediction" predicts the measurements of the next sample best. It needs no truth, and it finds
+  the measurement noise V along with W.
+- "tracking" has the least true error of a robot that drives with the paper's weights, R = 10.
+- "soft_soil" is as "prediction" on soil that slips as much as that under recorded robots, which
+  they are used on (`calibration.SOFT_SOIL`).
+
+The rules that look at errors also set σ_ω of an RHE, through which noise of the yaw enters its
+window: it then includes all turning that no encoder measures. The filters do not use σ_ω.
 """
+
+import csv
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from rhec import paper
 
-# Of (x, y, θ, ν, μ, κ) [m, m, rad, m/s, 1, 1], or of the first four where the traction is not
-# estimated. The first of an estimator is its default: an RHE has the paper's; a filter that moves
-# its position by 10 m a sample to each fix, as printed, loses its heading.
-SIGMA_W = {
-    "rhe": {
-        "printed": paper.SIGMA_W_RHE,
-        "likelihood": (0.001, 0.001, 0.015, 0.001, 0.001, 0.001),
-        "consistent": (0.0065, 0.0065, 0.0028, 0.22, 0.001, 0.0014),
-        "tracking": (0.0033, 0.0033, 0.011, 0.19, 0.039, 0.12),
-        "soft_soil": (0.001, 0.001, 0.0065, 0.001, 0.0098, 0.0053),
-    },
-    "rhe_fixed_traction": {
-        "printed": paper.SIGMA_W_RHE[:4],
-        "likelihood": (0.001, 0.001, 0.019, 0.001),
-    },
-    "rhe_no_slip": {"printed": paper.SIGMA_W_RHE[:4], "likelihood": (0.001, 0.001, 0.018, 0.001)},
-    "ekf": {
-        "likelihood": (0.001, 0.001, 0.0072, 0.001),
-        "printed": paper.SIGMA_W_EKF,
-        "consistent": (0.0045, 0.0045, 0.0072, 0.0047),
-        "tracking": (0.0013, 0.0013, 0.18, 0.0041),
-        "soft_soil": (0.017, 0.017, 0.013, 0.001),
-    },
-    "augmented_ekf": {
-        "likelihood": (0.001, 0.001, 0.0071, 0.001, 0.001, 0.0027),
-        "printed": paper.SIGMA_W_RHE,
-        "soft_soil": (0.001, 0.001, 0.0054, 0.001, 0.0058, 0.0044),
-    },
-    "bounded_ekf": {
-        "likelihood": (0.001, 0.001, 0.007, 0.001, 0.001, 0.001),
-        "printed": paper.SIGMA_W_RHE,
-        "tracking": (0.0057, 0.0057, 0.28, 0.018, 0.15, 0.052),
-    },
-    "fixed_traction": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
-    "traction_oracle": {"likelihood": (0.001, 0.001, 0.0075, 0.001)},
-    "drift_oracle": {"likelihood": (0.001, 0.001, 0.0053, 0.001)},
-    # With the yaw drift [rad/m] as one more state.
-    "yaw_drift_ekf": {"likelihood": (0.001, 0.001, 0.0034, 0.001, 0.001, 0.001, 0.0021)},
-}
-# Measurement noise of (x, y, ν, ω) [m, m, m/s, rad/s]. Inside its window an RHE has process noise
-# only through its inputs. So the rules that look at errors tune σ_ω along with the RHE's W: it then
-# includes all turning that no encoder measures. The filters do not use σ_ω.
-SIGMA_V = dict(
-    printed=paper.SIGMA_V,
-    likelihood=paper.SIGMA_V,
-    consistent=(*paper.SIGMA_V[:3], 0.039),
-    tracking=(*paper.SIGMA_V[:3], 1.0),
-    soft_soil=paper.SIGMA_V,
-)
+FILE = Path(__file__).with_name("tuned.csv")
+RULES = ("printed", "consistent", "prediction", "tracking", "soft_soil")
+DEFAULT_RULE = "prediction"  # of every estimator: the one that needs no truth
+
+
+class Noise(NamedTuple):
+    """What an estimator assumes of noise.
+
+    Attributes:
+        sigma_w: Of (x, y, θ, ν, μ, κ) [m, m, rad, m/s, 1, 1], or of the first four where the
+            traction is not estimated; with the yaw drift [rad/m] last where that is.
+        sigma_v: Of the measured (x, y, ν, ω) [m, m, m/s, rad/s].
+    """
+
+    sigma_w: tuple
+    sigma_v: tuple
+
+
+# Before the first sample the yaw drift is unknown: two per cent of slip between the tracks [rad/m].
+SIGMA_YAW_DRIFT = 0.05
+
+
+def _printed():
+    """The paper's noises: those of the RHE for every estimator that has as many states."""
+    of_rhe = Noise(paper.SIGMA_W_RHE, paper.SIGMA_V)
+    return {
+        "rhe": of_rhe,
+        # The yaw drift is not in the paper. What the paper prints as W is P_0, too: each quantity
+        # may change in a sample by as much as is unknown of it at the start. So may this one.
+        "rhe_yaw_drift": Noise((*of_rhe.sigma_w, SIGMA_YAW_DRIFT), of_rhe.sigma_v),
+        "ekf": Noise(paper.SIGMA_W_EKF, paper.SIGMA_V),
+        "bounded_ekf": of_rhe,
+    }
+
+
+def _numbers(text):
+    """Numbers that spaces separate."""
+    return tuple(map(float, text.split()))
+
+
+def read(file, printed):
+    """{estimator: {rule: Noise}} of a table such as tuned.csv, in the order of RULES.
+
+    Args:
+        file: Its Path.
+        printed: {estimator: Noise} of the rule "printed".
+    """
+    found = {estimator: {"printed": noise} for estimator, noise in printed.items()}
+    with file.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            noise = Noise(_numbers(row["sigma_w"]), _numbers(row["sigma_v"]))
+            found.setdefault(row["estimator"], {})[row["process_noise"]] = noise
+    return {
+        estimator: {rule: by_rule[rule] for rule in RULES if rule in by_rule}
+        for estimator, by_rule in found.items()
+    }
+
+
+NOISES = read(FILE, _printed())
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
 # robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
 # Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].
-SIGMA_W_SLIPPING = (0.006, 0.01)
+SLIPPING_NOISE = Noise((0.006, 0.01), paper.SIGMA_V)
 SLIP = dict(
     # Standard deviation of the slip speed ahead, as a share of ν [1].
     share_nu=0.1,
@@ -95,15 +112,28 @@ SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s], by choice: keeps the variance above 0
 
 
 def process_noise_of(scenario):
-    """The name of the W of a Scenario: its own, or the default of its estimator."""
-    # An oracle and an estimator of the user's have no W.
-    of_estimator = SIGMA_W.get(scenario.estimator, SIGMA_W["rhe"])
-    return scenario.process_noise or next(iter(of_estimator))
+    """The rule that picked the noise of a Scenario's estimator: its own, or the default."""
+    return scenario.process_noise or DEFAULT_RULE
+
+
+def noises_of(estimator):
+    """{rule: Noise} of an estimator, by its name or as it brings them along; {} if it has none."""
+    return NOISES.get(estimator, {}) if isinstance(estimator, str) else estimator.noises
+
+
+def noise_of(estimator, scenario):
+    """The Noise of an estimator by the rule of a Scenario; what has none takes that of the RHE."""
+    return (noises_of(estimator) or NOISES["rhe"])[process_noise_of(scenario)]
+
+
+def name_of_noise(scenario):
+    """Name in NOISES of a Scenario's estimator: an RHE with the yaw drift has noises of its own."""
+    return f"{scenario.estimator}_yaw_drift" if scenario.yaw_drift else scenario.estimator
 
 
 def sigma_v_of(scenario):
     """Standard deviations of the measurements that a Scenario's estimator assumes."""
-    return scenario.sigma_v or SIGMA_V[process_noise_of(scenario)]
+    return scenario.sigma_v or noise_of(name_of_noise(scenario), scenario).sigma_v
 
 
 def sigma_of_sensors(sensors, sigma_gyro, sigma_heading):
@@ -120,8 +150,8 @@ def gyro_constants(sensors, sigma_gyro):
 
 
 def variances_of(name, scenario):
-    """The settings V and W of a Scenario's estimator, by its name."""
+    """The settings V and W of a Scenario's estimator, by its name or as it brings them along."""
     sigma_w = scenario.sigma_w
     if sigma_w is None:
-        sigma_w = SIGMA_W[name][process_noise_of(scenario)]
+        sigma_w = noise_of(name, scenario).sigma_w
     return dict(V=np.square(sigma_v_of(scenario)), W=np.square(sigma_w))

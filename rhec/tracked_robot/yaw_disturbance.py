@@ -19,15 +19,23 @@ _ONE = (1, 1)
 _MOST = 0.5  # share of the bound ω_max that a disturbance may take: the rest is left for steering
 
 
+def disturbance_of(nu, mu, kappa, yaw_drift, upper):
+    """d of a yaw drift, at most half of ω_max = `upper`; 0 where it is not finite.
+
+    The arguments are CasADi expressions or numbers.
+    """
+    d = mu * nu * yaw_drift / ca.fmax(kappa, LEAST_KAPPA)
+    within = ca.fmax(ca.fmin(d, _MOST * upper), -_MOST * upper)
+    return ca.if_else(ca.fabs(d) < np.inf, within, 0)
+
+
 def counted_in():
     """d and ω + d of a measured ω, as a Function (estimate, yaw_drift, upper, omega_measured)."""
 
     @casadi_function("counted_in", estimate=(6, 1), yaw_drift=_ONE, upper=_ONE, omega_measured=_ONE)
     def counted_in(estimate, yaw_drift, upper, omega_measured):
         _, _, _, nu, mu, kappa = ca.vertsplit(estimate)
-        d = mu * nu * yaw_drift / ca.fmax(kappa, LEAST_KAPPA)
-        within = ca.fmax(ca.fmin(d, _MOST * upper), -_MOST * upper)
-        d = ca.if_else(ca.fabs(d) < np.inf, within, 0)
+        d = disturbance_of(nu, mu, kappa, yaw_drift, upper)
         return dict(disturbance=d, omega_measured=omega_measured + d)
 
     return counted_in

@@ -1,7 +1,7 @@
-"""One loop in all its forms: live objects, the fused loop, lanes, a batch and exported C agree.
+"""One loop in all its forms: live objects, the fused loop, lanes and exported C agree.
 
 Runs of the paper's robot are compared with the compiled fused loop, those of any robot with its
-live objects. Lanes and batches have the same bits; the other forms differ by rounding.
+live objects. Lanes have the same bits; the other forms differ by rounding.
 """
 
 import dataclasses
@@ -10,11 +10,11 @@ import itertools
 
 import numpy as np
 import pytest
-from helpers import controller, estimator, fused_sample, model, no_compiler
+from helpers import controller, estimator, fused_sample, no_compiler
 from in_c import InC
 from loops import LOOPS, SMALL, live_step, unlike
 from oracles import flat, mhe_instance, mpc_instance
-from robots import DT, ROBOTS, VARIANTS
+from robots import ROBOTS, VARIANTS
 
 import rhec
 from notebooks.claims.live_robot import LiveRobot
@@ -125,6 +125,7 @@ FORMS = (virtual_machine, live, in_lanes, in_c)
 ALWAYS = {
     "rhe": (live, in_lanes, in_c),
     "sensors and faults": FORMS,
+    "yaw drift": (live, in_lanes, in_c),
     "everything else": (virtual_machine, in_c),
     "own controller": (virtual_machine, in_lanes),
 }
@@ -206,7 +207,7 @@ def memory_and_stream(name, guess, z, references):
     """What the scan of a robot's fused step begins with, and its rows of input."""
     (mhe, mpc), n_x = scanned(name), len(EVERY_ROBOT[name].states)
     start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, EVERY_ROBOT[name].sigma_guess))
-    plan = rhc.init(mpc.problem, guess[:n_x], guess[n_x:])
+    plan = rhc.init(mpc.stages, guess[:n_x], guess[n_x:])
     stream = [[*row, *flat(x_ref), *flat(u_ref)] for row, (x_ref, u_ref) in zip(z, references)]
     return np.concatenate([pack_array(start), pack_array(plan)]), np.array(stream)
 
@@ -219,7 +220,7 @@ def fused_model(name, folder):
         # The fused step has no first sample of its own, for which the live object iterates.
         mpc.iteration.improve_first = lambda iterations: None
         n_x = len(EVERY_ROBOT[name].states)
-        mpc.iteration.start(rhc.init(mpc.problem, guess[:n_x], guess[n_x:]))
+        mpc.iteration.start(rhc.init(mpc.stages, guess[:n_x], guess[n_x:]))
         expected, _ = by_live_objects(mhe, mpc, z, references)
         rows = runner.run_one(build_scan(name), *memory_and_stream(name, guess, z, references), {})
     compared(rows, expected)
@@ -237,30 +238,6 @@ def model_in_lanes(name, folder):
     at_once = runner.run(block, *zip(*runs), [{}] * len(runs))
     for rows, alone in zip(at_once, runs):
         np.testing.assert_array_equal(rows, runner.run_one(functions, *alone, {}))
-
-
-def model_in_a_batch(name, folder):
-    """Estimators, filters and controllers side by side have the bits of single ones."""
-    robot, n = EVERY_ROBOT[name], 3
-    guess, _, references = problem_of(robot, 0)
-    z = np.array([problem_of(robot, seed)[1] for seed in range(n)])
-    filters = dict(model=model(robot), dt=DT, guess=tuple(guess), **robot.estimator)
-    singles = [(*objects(robot, guess), rhec.EKF(**filters)) for _ in range(n)]
-    together = [rhec.batch(single, n) for single in singles[0]]
-    for k, (x_ref, u_ref) in enumerate(references):
-        found = steps(together, z[:, k], x_ref, u_ref)
-        for run, single in enumerate(singles):
-            for part, whole in zip(steps(single, z[run, k], x_ref, u_ref), found):
-                np.testing.assert_array_equal(whole[run], part)
-
-
-def steps(of, z, x_ref, u_ref):
-    """Parts of the answers of an RHE, an RHC and an EKF, or of batches of them."""
-    mhe, mpc, ekf = of
-    for each in of:
-        each.prepare()
-    estimate = mhe.feedback(z)
-    return [*estimate, mpc.feedback(estimate.x, estimate.p, x_ref, u_ref), *ekf.feedback(z)]
 
 
 def model_in_c(name, folder):
@@ -285,14 +262,13 @@ def model_in_c(name, folder):
     assert not solved[OUTLIER]
 
 
-MODEL_FORMS = (fused_model, model_in_lanes, model_in_a_batch, model_in_c)
+MODEL_FORMS = (fused_model, model_in_lanes, model_in_c)
 
 
 def models_and_forms():
-    """Of the bicycle always, but for lanes: tests/core/test_batch.py has those of another robot."""
+    """Of the bicycle always."""
     for name, form in itertools.product(EVERY_ROBOT, MODEL_FORMS):
-        is_quick = name == "bicycle" and form in (fused_model, model_in_c)
-        marks = () if is_quick else pytest.mark.nightly
+        marks = () if name == "bicycle" else pytest.mark.nightly
         yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
 
 

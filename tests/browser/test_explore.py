@@ -327,7 +327,7 @@ def test_it_fits_the_screen(explorer, width, height):
 
 @pytest.mark.parametrize("width", [420, 560, 660, 1000])
 def test_the_table_of_metrics_is_never_cut(page, width):
-    run = rhec.simulate(rhec.Scenario(duration_s=10.0, estimator="yaw_drift_ekf"))
+    run = rhec.simulate(rhec.Scenario(duration_s=10.0, estimator="bounded_ekf"))
     table = metrics_table((run, run), (run, run))
     page.set_viewport_size({"width": width, "height": 600})
     page.set_content(

@@ -245,12 +245,12 @@ def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
     rows = floats(seen["rows"]).reshape(-1, len(COLUMNS))
     z = rows[:, [COLUMNS.index(name) for name in MEASUREMENTS]]
     guess = (0.0, paper.START_OFFSET_M, 0.0, paper.SPEED_MPS, 1.0, 1.0)
-    mhe = rhec.RHE(process_noise="likelihood", guess=guess)
+    mhe = rhec.RHE(process_noise="prediction", guess=guess)
     ekf = rhec.EKF(
         model=mhe.model,
         dt=paper.DT_S,
         sigma_v=paper.SIGMA_V,
-        sigma_w=tuning.SIGMA_W["rhe"]["likelihood"],
+        sigma_w=tuning.NOISES["rhe"]["prediction"].sigma_w,
         guess=guess,
         sigma_guess=paper.SIGMA_W_RHE,
     )
@@ -258,7 +258,7 @@ def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
         estimate = ekf.feedback(z_N)
         np.testing.assert_allclose(seen["kalman"][k], [*estimate.x, *estimate.p], atol=1e-6)
     apart = np.subtract(seen["shortest"], seen["kalman"])[25:, :2]
-    # With W by likelihood a window of one interval is nearly the filter; it is linearised anew.
+    # With W by prediction a window of one interval is nearly the filter; it is linearised anew.
     assert 1e-6 < np.linalg.norm(apart, axis=1).max() < 1e-3
     for z_N in z[: last + 1]:
         mhe.prepare()

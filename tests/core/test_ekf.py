@@ -6,6 +6,7 @@ from helpers import choice_of, with_noise
 from oracles import DT, V, drive, flat
 from scipy.optimize import lsq_linear
 
+from notebooks.rivals import by_name, held_traction
 from rhec.core._casadi import packing
 from rhec.tracked_robot import rhe as paper_rhe
 from rhec.tracked_robot.estimators import build_step, estimator_of
@@ -21,16 +22,15 @@ def init(guess, sigma):
     return estimator_of("ekf").init(PAPERS, *first)
 
 
-def textbook(m, P, z, traction, first):
+def textbook(m, P, z, first):
     """Predict with the Jacobian of eq. (23), then correct with all measurements at once."""
-    mu, kappa = traction
     x, y, theta, nu = m
     if not first:
-        ahead, turn = DT * mu * nu, DT * kappa * z[3]
+        ahead, turn = DT * nu, DT * z[3]
         A = np.array(
             [
-                [1, 0, -ahead * np.sin(theta), DT * mu * np.cos(theta)],
-                [0, 1, ahead * np.cos(theta), DT * mu * np.sin(theta)],
+                [1, 0, -ahead * np.sin(theta), DT * np.cos(theta)],
+                [0, 1, ahead * np.cos(theta), DT * np.sin(theta)],
                 [0, 0, 1, 0],
                 [0, 0, 0, 1],
             ]
@@ -46,10 +46,10 @@ def textbook(m, P, z, traction, first):
     return m + K @ y, (np.eye(4) - K @ H) @ P, y @ np.linalg.solve(S, y) + np.linalg.slogdet(S)[1]
 
 
-def run(z, start, traction):
+def run(z, start):
     memory, results = packing.pack_array(start), []
     for reading in z:
-        result = STEP(memory=memory, z_N=reading, V=V, W=W, traction=traction)
+        result = STEP(memory=memory, z_N=reading, V=V, W=W)
         memory = result["memory"]
         results.append(
             (flat(result["estimate"]), np.array(result["covariance"]), float(result["deviance"]))
@@ -57,9 +57,8 @@ def run(z, start, traction):
     return results
 
 
-@pytest.mark.parametrize("traction", [(1, 1), (0.9, 0.7)])
 @pytest.mark.parametrize("missing", [0.0, 0.3])
-def test_it_is_the_textbook_filter(traction, missing):
+def test_it_is_the_textbook_filter(missing):
     """Estimate, covariance and deviance, at every sample; a silent sensor's row is not there."""
     rng = np.random.default_rng(0)
     _, z = drive((1, 2, 0.5, 0.5, 0.9, 0.8), rng.uniform(-0.5, 0.5, 100))
@@ -67,10 +66,10 @@ def test_it_is_the_textbook_filter(traction, missing):
     z[:, :3][rng.random((len(z), 3)) < missing] = np.nan
     m, P = np.array([0.9, 2.1, 0.3, 0.4]), np.diag([1, 1, 0.1, 0.2])
     for k, (estimate, covariance, deviance) in enumerate(
-        run(z, init((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])), traction)
+        run(z, init((*m, 1, 1), np.sqrt([1, 1, 0.1, 0.2, 1, 1])))
     ):
-        m, P, expected = textbook(m, P, z[k], traction, first=k == 0)
-        np.testing.assert_allclose(estimate, [*m, *traction], atol=1e-10)
+        m, P, expected = textbook(m, P, z[k], first=k == 0)
+        np.testing.assert_allclose(estimate, [*m, 1, 1], atol=1e-10)
         np.testing.assert_allclose(covariance, P, atol=1e-10)
         np.testing.assert_array_equal(covariance, covariance.T)
         assert deviance == pytest.approx(expected, abs=1e-9)
@@ -79,9 +78,9 @@ def test_it_is_the_textbook_filter(traction, missing):
 def test_while_the_yaw_rate_is_silent_the_last_one_holds():
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
     start = init((0, 0, 0, 0.5, 1, 1), (1,) * 6)
-    spoken = run(z, start, (1, 1))
+    spoken = run(z, start)
     z[5:12, 3] = [np.nan, np.inf, 1e12, -np.inf, np.nan, np.nan, np.nan]
-    silent = run(z, start, (1, 1))
+    silent = run(z, start)
     for one, other in zip(spoken, silent):
         np.testing.assert_array_equal(one[0], other[0])
 
@@ -92,9 +91,9 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
     start = init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
     z[[0, 5, 6], channel] = np.nan
-    silent = run(z, start, (1, 1))
+    silent = run(z, start)
     z[[0, 5, 6], channel] = reading
-    for one, other in zip(silent, run(z, start, (1, 1))):
+    for one, other in zip(silent, run(z, start)):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
 
@@ -109,17 +108,18 @@ def sine_of_yaw_rates(samples, size=0.3):
 
 
 def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
-    """Estimates (n, 6) and covariances of an estimator by its name in Scenario, told a `traction`,
-    one or one a sample.
+    """Estimates (n, 6) and covariances of a rival or "bounded_ekf", told a `traction`, one or one
+    a sample.
     """
-    step, of = build_step(choice_of(name, 5)), estimator_of(name)
+    of = estimator_of(by_name(name) if isinstance(name, str) else name)
+    step = of.build_step(PAPERS)
     first = [dict(zip(QUANTITIES, values)) for values in (guess, sigma)]
-    memory, rows = packing.pack_array(of.init(choice_of(name, 5), *first)), []
-    n, n_w = len(z), of.n_sigma_w(choice_of(name, 5))
+    memory, rows = packing.pack_array(of.init(PAPERS, *first)), []
+    n, n_w = len(z), of.n_sigma_w(PAPERS)
     given = dict(V=V, W=np.square(SIGMA_W[:n_w]), P_0=np.ones(n_w), m_0=guess[:n_w])
     told = np.broadcast_to((1, 1) if traction is None else traction, (n, 2))
     for reading, p in zip(z, told):
-        known = given | dict(memory=memory, z_N=reading, traction=p)
+        known = given | dict(memory=memory, z_N=reading, traction=p, mean_traction=p)
         result = step(**{name: known[name] for name in step.name_in()})
         memory = result["memory"]
         rows.append((flat(result["estimate"]), np.array(result["covariance"])))
@@ -133,8 +133,10 @@ def test_in_a_curve_a_runge_kutta_step_is_where_the_robot_is_and_the_papers_eule
     for name, told in (("traction_oracle", (0.9, 0.8)), ("augmented_ekf", None)):
         estimates, _ = rival(name, z, traction=told, **exact)
         np.testing.assert_allclose(estimates, truth, atol=1e-5)
-    paper, _ = rival("ekf", z, traction=(0.9, 0.8), **exact)
-    turn_rad = 0.8 * 0.5 * DT
+    first = (0, 0, 0, 0.5, 1, 1)
+    truth, z = drive(first, np.full(60, 0.5))
+    paper, _ = rival("ekf", z, guess=first, sigma=(1e-3,) * 6)
+    turn_rad = 0.5 * DT
     late = (paper[:, 2] - truth[:, 2])[30:]
     np.testing.assert_allclose(late, turn_rad / 2, atol=0.1 * turn_rad)
 
@@ -173,13 +175,13 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
     held = told or (1, 1)
     z = with_noise(drive((0, 0, 0, 0.5, 0.7, 0.7), sine_of_yaw_rates(40, 0.1))[1])
     guess = (0, 0, 0, 0.5, *held)
-    estimates, covariances = rival(name, z, guess, traction=told)
+    choice = choice_of("rhe", 5)
+    alone = held_traction.rival(name, 5, choice.arrival_mean)
+    estimates, covariances = rival(alone, z, guess, traction=told)
     np.testing.assert_array_equal(estimates[:, 4:], np.broadcast_to(held, (len(z), 2)))
-    step, first = build_step(choice_of("rhe", 5)), dict(zip(QUANTITIES, guess))
+    step, first = build_step(choice), dict(zip(QUANTITIES, guess))
     sure = dict(zip(QUANTITIES, (1.0,) * 4 + (1e-7,) * 2))
-    memory = packing.pack_array(
-        paper_rhe.init(paper_rhe.window_of(choice_of("rhe", 5)), first, sure)
-    )
+    memory = packing.pack_array(paper_rhe.init(paper_rhe.window_of(choice), first, sure))
     W = np.square([*SIGMA_W[:4], 1e-9, 1e-9])
     for reading, estimate, covariance in zip(z, estimates, covariances):
         result = step(memory=memory, z_N=reading, V=V, W=W, P_0=np.ones(6), m_0=guess)

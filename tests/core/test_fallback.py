@@ -51,7 +51,7 @@ def arrival_covariance(rhe):
 
 @estimators
 def test_without_numbers_in_the_arrival_cost_one_step_fails_and_the_next_begins_anew(given):
-    rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
+    rhe = rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given)
     estimates, solved = estimated(rhe, Z[:SOON], lambda rhe: arrival_covariance(rhe).fill(np.nan))
     assert np.flatnonzero(~solved).tolist() == [HIT + 1] and sound(estimates)
     x, y, theta, nu, mu, kappa = estimates[HIT]
@@ -68,7 +68,7 @@ def test_a_singular_arrival_covariance_does_no_lasting_harm(given, value):
     """No prior at all, one of rank 1, one beyond all numbers: solved or flagged, and forgotten once
     it has left the window.
     """
-    rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
+    rhe = rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given)
     estimates, solved = estimated(rhe, Z[:SOON], lambda rhe: arrival_covariance(rhe).fill(value))
     # Of 1e300 nothing but rounding is left within the window, so that the gate may reject there a
     # sample that is good: the sixth after it.
@@ -81,7 +81,7 @@ def test_a_singular_arrival_covariance_does_no_lasting_harm(given, value):
 @estimators
 def test_an_arrival_covariance_that_is_none_leaves_no_negative_variance(given):
     """Its correlations are above 1, and a measurement would make variances negative."""
-    rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
+    rhe = rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given)
 
     def upset(rhe):
         P = arrival_covariance(rhe)
@@ -102,9 +102,7 @@ def test_a_memory_without_any_number_does_no_lasting_harm(given):
         for name in ("s", "v", "z", "m", "P"):
             rhe.iteration.previous[name].fill(np.nan)
 
-    estimates, solved = estimated(
-        rhec.RHE(guess=GUESS, process_noise="likelihood", **given), Z, emptied
-    )
+    estimates, solved = estimated(rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given), Z, emptied)
     assert sound(estimates[HIT + 3 :]) and not solved[HIT + 1] and solved[-20:].all()
     assert np.abs(estimates - TRUTH)[-20:, :2].max() < 1
 
@@ -117,7 +115,7 @@ def test_positions_that_break_the_problem_are_dropped_with_their_window(given, w
     """
     z = Z.copy()
     z[HIT : HIT + 4, :2] = wrong
-    rhe = rhec.RHE(guess=GUESS, process_noise="likelihood", **given)
+    rhe = rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given)
     estimates, solved = estimated(rhe, z)
     assert sound(estimates) and solved[:HIT].all() and solved[-20:].all()
     assert not solved.all()

@@ -19,7 +19,7 @@ def followed(turned_rad, process_noise="printed", seed=0, spoil=None):
     if spoil:
         spoil(z)
     guess = (0.0, 0.0, 0.3 + turned_rad, 0.5, 1.0, 1.0)
-    rhe = rhec.RHE(guess=guess, process_noise=process_noise)
+    rhe = rhec.RHE(guess=guess, process_noise=process_noise, sigma_v=paper.SIGMA_V)
     estimates, ok = [], []
     for row in z:
         rhe.prepare()
@@ -29,7 +29,7 @@ def followed(turned_rad, process_noise="printed", seed=0, spoil=None):
     return np.hypot(*error[:, :2].T), np.angle(np.exp(1j * error[:, 2])), np.array(ok)
 
 
-NOISES = pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
+NOISES = pytest.mark.parametrize("process_noise", ["printed", "prediction"])
 
 
 @NOISES

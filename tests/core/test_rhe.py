@@ -172,7 +172,7 @@ def test_the_qp_in_the_bounded_parameters_is_solved_as_by_other_solvers(n):
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 def test_a_line_search_finds_what_full_steps_find_of_the_same_quantities(speed_model):
     """Of a window that estimates named quantities, with inputs as measured."""
-    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, process_noise="likelihood")
+    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, sigma_v=paper.SIGMA_V)
     _, z = drive(GUESS, weaving_yaw_rates(2 * N))
     z = with_noise(z, np.random.default_rng(4))
     feed(rhe, z[:-1])
@@ -211,13 +211,13 @@ def test_preparation_does_not_see_the_newest_reading(speed_model):
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", SPEED_MODELS)
 @pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
-@pytest.mark.parametrize("process_noise", ["printed", "likelihood"])
+@pytest.mark.parametrize("process_noise", ["printed", "prediction"])
 def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
     """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), the mean from
     where `arrival_mean` says.
     """
     phases, keep = build_phases(speed_model, arrival_mean), places(speed_model)
-    sigma = np.array(tuning.SIGMA_W["rhe"][process_noise])[keep]
+    sigma = np.array(tuning.NOISES["rhe"][process_noise].sigma_w)[keep]
     _, z = drive(GUESS, weaving_yaw_rates(4 * N))
     z = with_noise(z, np.random.default_rng(7))
     z[25, :2] = z[30, 3] = z[33:36] = np.nan

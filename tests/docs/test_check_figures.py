@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 import yaml
 
+from docs.site import check_figures
 from docs.site.check_figures import difference
+from rhec import style
 
 ROOT = Path(__file__).parents[2]
 TABLE = pd.DataFrame(dict(name=["RHE", "EKF"], mean=[0.04, 1.3], low=[np.nan, 1.0], n=[3, 4]))
@@ -40,6 +42,29 @@ def test_a_computation_time_may_differ():
     assert difference(ours, theirs) == ""
     theirs.loc[1, "beside"] = "0.2"
     assert difference(ours, theirs)
+
+
+def test_a_table_of_other_parameters_is_another_world_and_not_for_publication(
+    tmp_path, monkeypatch, capsys
+):
+    file = tmp_path / "results/table_faults.csv"
+    file.parent.mkdir()
+    TABLE.to_csv(file, index=False)
+    monkeypatch.setattr(check_figures, "ROOT", tmp_path)
+    monkeypatch.setattr(check_figures, "RESULTS", file.parent)
+    other = TABLE.assign(mean=0.5)
+    try:
+        for changed in ({}, dict(world="soft")):
+            style.set_changed("faults", changed)
+            monkeypatch.setattr(style, "FOLDER", tmp_path / "figures")
+            monkeypatch.setenv("RHEC_FIGURES", str(tmp_path / "figures"))
+            style.save_table(other, "table_faults", "Faults")
+            assert check_figures.main() == 1
+            said = capsys.readouterr().out
+            assert ("cp figures/table_faults.csv" in said) == (not changed)
+            assert ("table_faults: another world (world = soft)" in said) == bool(changed)
+    finally:
+        style.set_changed("", {})
 
 
 def test_each_file_for_a_codecheck_is_saved_by_the_notebook_that_it_names():

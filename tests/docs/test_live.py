@@ -90,7 +90,7 @@ def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys
 @pytest.fixture(scope="module")
 def taken_apart():
     """The story's Functions, a setup, its estimator's first memory and some of its measurements."""
-    scenario = rhec.Scenario(process_noise="likelihood", duration_s=20.0)
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=20.0)
     setup = closed_loop.set_up(scenario)
     run = rhec.simulate(scenario)
     z = np.column_stack([run.columns[name] for name in MEASUREMENTS])

@@ -60,6 +60,32 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
 
 
+def test_on_the_site_verdicts_have_colours_and_lead_to_their_cards(tmp_path):
+    readme = tmp_path / "README.md"
+    table = "| error | 0.04 | met: 0.04 | EKF lost | does not hold: 8 % | possible: 1 (0 to 2) |"
+    bar = "Of 5: [holds: 3](data/results/claims.csv) · [possible: 2](data/results/claims.csv)"
+    readme.write_text(f"{table}\n\nIt was met | elsewhere.\n\n{bar}\n")
+    report._link_cards(readme)
+    page = BeautifulSoup(readme.read_text(), "html.parser")
+    words = page.select("span.verdict")
+    assert [word.text for word in words] == [
+        "met",
+        "EKF lost",
+        "does not hold",
+        "possible",
+        "holds",
+        "possible",
+    ]
+    colours = [word["style"] for word in words]
+    assert colours[0] == colours[4] and colours[3] == colours[5] and len(set(colours)) == 4
+    assert [link["href"] for link in page.select("a")] == [
+        "claims.html?verdict=holds",
+        "claims.html?verdict=possible",
+    ]
+    # A reader of the text alone misses nothing.
+    assert page.get_text().splitlines()[0] == table
+
+
 def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
     old = tmp_path / "report"
     old.mkdir()

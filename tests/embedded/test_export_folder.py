@@ -35,7 +35,7 @@ def test_nothing_is_written_outside_the_folder(tmp_path, texts, monkeypatch):
 
 
 def test_an_interrupted_export_can_be_repeated(tmp_path, texts):
-    (tmp_path / ".unfinished-abc").mkdir()
+    (tmp_path / ".unfinished-abc").touch()
     embedded.export(None, tmp_path)
     assert (tmp_path / "rhec.c").read_text() == "code"
 

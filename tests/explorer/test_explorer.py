@@ -11,6 +11,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -22,8 +23,9 @@ from rhec.core._casadi import compiled
 from rhec.explorer import controls, explorer, field_run
 from rhec.explorer.panels import packed
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.path import Turns
 
-SHORT = rhec.Scenario(process_noise="likelihood", duration_s=60.0)
+SHORT = rhec.Scenario(process_noise="prediction", duration_s=60.0)
 
 
 @pytest.fixture
@@ -32,11 +34,11 @@ def made(tmp_path):
 
 
 def test_its_lists_show_what_drives():
-    start = rhec.Scenario(estimator="augmented_ekf", duration_s=20.0)
+    start = rhec.Scenario(estimator="oracle", duration_s=20.0)
     made = rhec.Explorer(start, against="bounded_ekf")
     lists = (made.estimator, made.against, made.process_noise)
-    assert [each.label for each in lists] == ["augmented_ekf", "bounded_ekf", "usual"]
-    assert [run.scenario.estimator for run in made.runs] == ["augmented_ekf", "bounded_ekf"]
+    assert [each.label for each in lists] == ["oracle", "bounded_ekf", "prediction"]
+    assert [run.scenario.estimator for run in made.runs] == ["oracle", "bounded_ekf"]
 
 
 def shown(made):
@@ -64,13 +66,15 @@ STARTS = [
     rhec.Scenario(),
     rhec.Scenario(
         estimator="ekf",
-        process_noise="likelihood",
+        process_noise="prediction",
         q=paper.Q1,
         r=3.3,
         seed=7,
         patches=((9.0, 1.0, 2.0, 0.6, 0.5),),
     ),  # fmt: skip
     rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
+    rhec.Scenario(process_noise="tracking", sigma_v=(0.02, 0.02, 0.03, 0.05), turns="right"),
+    rhec.Scenario(process_noise="soft_soil"),
     rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
     rhec.Scenario(
         faults=(
@@ -98,7 +102,9 @@ def test_the_tabs_are_the_groups_of_the_scenario():
 def test_own_process_noise_has_the_size_each_estimator_takes():
     """The slider's entry stays, and what is not estimated falls out."""
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}
-    pose, traction = (tuning.SIGMA_W["rhe"]["likelihood"][part] for part in (slice(3), slice(4, 6)))
+    pose, traction = (
+        tuning.NOISES["rhe"]["prediction"].sigma_w[part] for part in (slice(3), slice(4, 6))
+    )
     expected = {
         "parameter": (*pose, 0.5, *traction),
         "input": (*pose, *traction),
@@ -109,7 +115,7 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         assert controls.scenario_of(given, "rhe", SHORT).sigma_w == sigma_w
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*pose, 0.5)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    assert len(controls.scenario_of(values, "yaw_drift_ekf", SHORT).sigma_w) == 7
+    assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
 
 
 def test_sensors_and_their_faults_apply_to_the_rhe():
@@ -427,17 +433,38 @@ def test_its_text_is_the_errors_and_the_scenario(made):
     assert f"mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in errors[0]
 
 
-def test_sliders_of_w_show_the_w_in_use(made):
-    sliders = [made.inputs["sigma_w", place] for place in range(6)]
-    for noise in ("printed", "likelihood"):
-        made.process_noise.value = noise
-        assert tuple(slider.value for slider in sliders) == tuning.SIGMA_W["rhe"][noise]
+@pytest.mark.parametrize("name, entries", [("sigma_w", 6), ("sigma_v", 4)])
+def test_sliders_of_noise_show_the_noise_in_use(made, name, entries):
+    sliders = [made.inputs[name, place] for place in range(entries)]
+    for rule in controls.RULES:
+        made.process_noise.value = rule
+        shown = tuple(slider.value for slider in sliders)
+        assert shown == getattr(tuning.NOISES["rhe"][rule], name)
         assert all(slider.disabled for slider in sliders)
+        assert {run.scenario.process_noise or "prediction" for run in made.runs} == {rule}
+        assert {run.scenario.sigma_v for run in made.runs} == {None}  # each has its own
     made.process_noise.value = "custom"
     assert not any(slider.disabled for slider in sliders)
-    assert made.runs[0].scenario.sigma_w == tuning.SIGMA_W["rhe"]["likelihood"]
-    sliders[5].value = 0.1
-    assert made.runs[0].scenario.sigma_w[5] == 0.1
+    assert getattr(made.runs[0].scenario, name) == shown
+    sliders[-1].value = 0.1
+    assert getattr(made.runs[0].scenario, name)[-1] == 0.1
+    made.process_noise.value = "prediction"
+    assert made.runs[0].scenario.sigma_v is made.runs[0].scenario.sigma_w is None
+
+
+@pytest.mark.parametrize("turns", get_args(Turns))
+def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made, turns):
+    """And new patches may be put beside all of it."""
+    made.inputs["turns"].value = turns
+    path = made.runs[0].path
+    panel = made.screen.picture["panels"]["map"]
+    x_min, x_max, y_min, y_max = path.box
+    (low_x, high_x), (low_y, high_y) = panel["xlim"], panel["ylim"]
+    assert low_x < x_min and x_max < high_x and low_y < y_min and y_max < high_y
+    across = {slider.key: slider for slider in controls.PATCH}
+    assert across[0].low <= x_min and x_max <= across[0].high
+    assert across[1].low <= y_min and y_max <= across[1].high
+    made.inputs["turns"].value = "alternate"
 
 
 # Compiling, drawing

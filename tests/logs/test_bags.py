@@ -222,7 +222,28 @@ def test_a_folder_without_its_metadata_is_read(tmp_path):
     np.testing.assert_array_equal(twice, whole)  # equal stamps are the same messages
 
 
+@pytest.mark.parametrize("name", ["log #3", "what?", "my%20log", "a#?b%c"])
+def test_a_bag_may_have_letters_of_a_uri_in_its_name(tmp_path, name):
+    """In that of its folder, and in that of the file alone."""
+    bag, file = recorded(tmp_path, "folder", rows=20)
+    expected = rhec.logs.read(bag, wheel_radius_m=0.5)
+    bag.rename(tmp_path / name)
+    other = (tmp_path / name / file.name).rename(tmp_path / name / f"{name}.db3")
+    for path in (tmp_path / name, other):
+        np.testing.assert_array_equal(rhec.logs.read(path, wheel_radius_m=0.5), expected)
+
+
 # Bags that were made to do harm
+
+
+def test_the_bag_that_is_checked_is_the_one_that_is_read(tmp_path):
+    """By a URI without quotes, `x#.db3` would be the file `x` beside it."""
+    (tmp_path / "other").mkdir()
+    _, file = recorded(tmp_path, "folder", rows=20)
+    _, other = recorded(tmp_path / "other", "folder", rows=10)
+    checked = shutil.copy(file, tmp_path / "x#.db3")
+    shutil.copy(other, tmp_path / "x")
+    assert len(rhec.logs.read(checked, wheel_radius_m=0.5)) == 20
 
 
 PACKED = [("bag", "BZ2"), ("bag", "LZ4"), ("mcap", "STORAGE"), ("mcap", "MESSAGE")]

@@ -8,13 +8,20 @@ import pandas as pd
 import pytest
 
 import rhec
+from rhec import paper
 from rhec.logs.outputs import write_estimates, write_traction
 
 
 def test_a_replay_leaves_tables_and_paths(tmp_path):
     log = rhec.logs.read(make_example_log.FILE)[:300]
     log.attrs["origin"] = (48.2, 16.4, 170.0)
-    estimates = rhec.replay(log, first_yaw_rad=0.4, process_noise="likelihood", speed_model="input")
+    estimates = rhec.replay(
+        log,
+        first_yaw_rad=0.4,
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        speed_model="input",
+    )
     write_estimates(estimates, tmp_path / "new")
     assert (tmp_path / "new" / "traction.geojson").is_file()
     for table in (

@@ -1,6 +1,10 @@
 """Files of logs: what is found in a table's text, and ROS bags written with the library that reads
 them."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -19,6 +23,7 @@ from written_bags import (
 
 import rhec
 
+ROOT = Path(rhec.__file__).parents[1]
 T = np.arange(0, 20, 0.1).round(3)
 LOG = pd.DataFrame(
     dict(t_s=T, x_m=0.5 * T, y_m=np.sin(T), speed_mps=0.5, yaw_rate_radps=0.1 * np.cos(T))
@@ -219,10 +224,79 @@ def test_a_parquet_file_that_would_fill_the_memory_is_refused(tmp_path):
         rhec.logs.read(bomb)
 
 
+def small_bombs():
+    """{name: column of Arrow} that takes few bytes in a file, and gigabytes in memory."""
+    zeros = pa.array(np.zeros(20_000_000), pa.float64())
+    one_list = pa.ListArray.from_arrays([0, len(zeros)], zeros)
+    places = pa.array(np.zeros(3_000, int), pa.int32())
+    long = ["a" * 1_000_000]
+    texts = pa.DictionaryArray.from_arrays(places, pa.array(long))
+    return dict(
+        list=one_list,
+        struct=pa.StructArray.from_arrays([one_list], ["inner"]),
+        map=pa.MapArray.from_arrays([0, 1], pa.array(["a"]), one_list),
+        binary=pa.DictionaryArray.from_arrays(places, pa.array(long, pa.binary())),
+        text=texts,
+    )
+
+
+LIMITED = """
+import resource, sys
+import pyarrow, pyarrow.parquet, pandas, rhec.logs
+
+used = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    print([*rhec.logs.read(sys.argv[1])])
+except ValueError as error:
+    print(error)
+print((1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used) // 10**6)
+"""
+
+
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("name", ["x_m", "label"])
+@pytest.mark.parametrize("kind", ["text", "list", "struct", "map", "binary"])
+def test_a_small_parquet_file_does_not_fill_the_memory(tmp_path, kind, name):
+    """Whether the column is one that is wanted or not; what can be read of the file is."""
+    bomb = small_bombs()[kind]
+    t_s = pa.array(np.arange(len(bomb)) / 5)
+    table = pa.table({"t_s": t_s, name: bomb})
+    pq.write_table(table, tmp_path / "bomb.parquet", store_schema=False)
+    assert (tmp_path / "bomb.parquet").stat().st_size < 1_000_000
+    command = [sys.executable, "-c", LIMITED, str(tmp_path / "bomb.parquet")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    said, megabytes = done.stdout.splitlines()
+    wanted = kind == "text" and name == "x_m"
+    assert said == "['t_s']" or wanted and "x_m has 3000 texts of up to 1000000 bytes" in said
+    assert int(megabytes) < 60
+
+
+def test_times_and_numbers_as_text_are_read_of_a_parquet_file(tmp_path):
+    """Also in a dictionary; other texts are left aside."""
+    time = pd.to_datetime(1e9 * np.arange(4)).strftime("%Y-%m-%dT%H:%M:%S.%f")
+    table = pd.DataFrame(dict(time=time, x_m=["0.1", "0.2", "", "0.3"], phase=list("abcd")))
+    table["crop"] = pd.Categorical(["soy", "corn", "soy", None])
+    table["n"] = pd.Categorical([3, 1, 3, 1])
+    table.to_parquet(tmp_path / "log.parquet")
+    log = rhec.logs.read(tmp_path / "log.parquet", columns=dict(place="crop"))
+    assert [*log["t_s"]] == [0, 1, 2, 3] and [*log["x_m"]] == [*table["x_m"]]
+    assert [*log["n"]] == [3, 1, 3, 1] and "phase" not in log
+    assert [*log["place"].fillna("")] == ["soy", "corn", "soy", ""]
+
+
 @pytest.mark.parametrize("path", [5, None, b"log.csv", "a" * 5_000])
 def test_what_is_no_path_is_refused_in_a_sentence(path):
-    with pytest.raises(ValueError, match="log was .* it (should|cannot) be a path"):
+    """From 3.14 on, Python says that so long a path leads nowhere."""
+    with pytest.raises(ValueError, match="log was .* it (should|cannot) be a(n existing| path)"):
         rhec.logs.read(path)
+
+
+def test_a_path_that_leads_nowhere_is_shown_in_a_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "is_file", lambda self: False)  # as Python 3.14 has it
+    monkeypatch.setattr(Path, "is_dir", lambda self: False)
+    with pytest.raises(ValueError, match="it should be an existing .csv") as refusal:
+        rhec.logs.read("a" * 5_000 + ".csv")
+    assert len(str(refusal.value)) < 500
 
 
 # Bags

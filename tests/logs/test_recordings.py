@@ -18,6 +18,7 @@ from scipy.integrate import cumulative_trapezoid
 from written_bags import START_NS, odometry, write_bag
 
 import rhec
+from notebooks.rivals import RIVALS
 
 FRAME = pd.DataFrame(dict(t_ns=np.arange(5) * 50_000_000, left=np.linspace(0, 1, 5)))
 
@@ -206,7 +207,7 @@ def test_a_converted_recording_can_be_replayed(tmp_path, capsys):
         with pytest.raises(SystemExit, match="small: .*hash"):
             fetch_recordings.main(host, tmp_path / "there", table)
     log = rhec.logs.read(tmp_path / "here" / "small.csv")
-    last = rhec.replay(log, estimator="augmented_ekf", first_yaw_rad=log["yaw_true_rad"][0])
+    last = rhec.replay(log, estimator=RIVALS["augmented_ekf"], first_yaw_rad=log["yaw_true_rad"][0])
     assert last["mu_hat"].iloc[-1] == pytest.approx(1.0, abs=0.03)
 
 

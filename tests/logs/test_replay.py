@@ -13,6 +13,8 @@ from helpers import KAPPA, MU, TRACK_WIDTH_M, Bomb, may_be_unsure, recorded_log
 
 import rhec
 from notebooks.further.recorded import scores
+from notebooks.rivals import RIVALS
+from rhec import paper
 from rhec.logs import recording
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH
@@ -51,7 +53,11 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     """
     log = recorded_log(rate_hz)
     # A W by likelihood on soil that slips and differs as this log's does.
-    noise = dict(process_noise="likelihood", sigma_w=(0.001, 0.001, 0.001, 0.0033, 0.001))
+    noise = dict(
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        sigma_w=(0.001, 0.001, 0.001, 0.0033, 0.001),
+    )
     result = rhec.replay(log, first_yaw_rad=0.4, speed_model="input", **noise)
     late = result["t_s"] > 15
     position, yaw = errors(result[late])
@@ -64,7 +70,8 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
 def test_replaying_the_log_of_a_run_gives_its_estimates(run):
     """The estimates are those of the closed loop."""
     given = dict(
-        process_noise="likelihood",
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
         speed_model="parameter",
         first_yaw_rad=float(run.log["theta_rad"][0]),
         sigma_yaw_rad=0.1,
@@ -76,7 +83,7 @@ def test_replaying_the_log_of_a_run_gives_its_estimates(run):
 
 def test_the_live_estimator_agrees():
     prepared = recording.prepare(LOG)
-    fields = dict(process_noise="likelihood", speed_model="input")
+    fields = dict(process_noise="prediction", sigma_v=paper.SIGMA_V, speed_model="input")
     samples = estimate_samples(
         prepared, replay_scenario("rhe", prepared, fields), InitialGuess((0.4,), 0.1)
     )
@@ -109,7 +116,9 @@ def test_no_estimate_sees_the_truth(estimates):
 @pytest.mark.parametrize("start_rad", [-2.9, 1.0])
 def test_an_unknown_first_yaw_is_found(start_rad):
     log = recorded_log(start_rad=start_rad, noise_m=0.02)
-    result = rhec.replay(log.drop(columns="yaw_true_rad"), process_noise="likelihood")
+    result = rhec.replay(
+        log.drop(columns="yaw_true_rad"), process_noise="prediction", sigma_v=paper.SIGMA_V
+    )
     error = (result["theta_hat_rad"] - log["yaw_true_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert error[result["t_s"] > 15].abs().max() < 0.15
 
@@ -125,7 +134,10 @@ def test_the_variance_of_kappa_grows_on_a_straight():
         y_m=straight["y_m"] + ahead * np.sin(straight["yaw_true_rad"]),
     )
     result = rhec.replay(
-        pd.concat([log, straight], ignore_index=True), process_noise="likelihood", first_yaw_rad=0.4
+        pd.concat([log, straight], ignore_index=True),
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        first_yaw_rad=0.4,
     )
     sigma = result["sigma_kappa"].to_numpy()
     assert sigma[-1] > 1.2 * sigma[len(log) + 40] and np.all(
@@ -142,7 +154,9 @@ def test_what_gating_rejects_is_in_the_replay():
     log = LOG.copy()
     log.loc[300:310, ["x_m", "y_m"]] += 5.0
     log.loc[400:410, ["x_m", "y_m"]] = np.nan
-    given = dict(first_yaw_rad=0.4, process_noise="likelihood", speed_model="input")
+    given = dict(
+        first_yaw_rad=0.4, process_noise="prediction", sigma_v=paper.SIGMA_V, speed_model="input"
+    )
     accepted = rhec.replay(log, **given)["position_accepted"]
     unused = {*range(300, 306), *range(312, 318), *range(402, 412)}
     # The estimator's samples are every other row.
@@ -209,7 +223,12 @@ def another_future(log, from_s, generator):
 def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     """Nor does its absence: wherever the log ends or changes, what was said remains."""
     log, generator = merged(gnss, noise_m=0.02), np.random.default_rng(7)
-    given = dict(first_yaw_rad=first_yaw_rad, process_noise="likelihood", trust_log=True)
+    given = dict(
+        first_yaw_rad=first_yaw_rad,
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        trust_log=True,
+    )
     # Without it the whole log is asked for the noise of its positions.
     given |= dict(smooth=False, sigma_v=(0.03, 0.03, 0.1, 0.1))
     whole = rhec.replay(log, **given)
@@ -244,7 +263,11 @@ def test_the_future_changes_no_estimate_of_a_model(estimator):
 def test_positions_between_the_samples_are_as_good_as_positions_at_them(gnss):
     """Without noise: carried on over their age, they are where the robot is."""
     result = rhec.replay(
-        merged(gnss), first_yaw_rad=0.4, process_noise="likelihood", speed_model="input"
+        merged(gnss),
+        first_yaw_rad=0.4,
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        speed_model="input",
     )
     position, yaw = errors(result[result["t_s"] > 15])
     assert position.max() < 0.02 and yaw.max() < 0.03
@@ -282,7 +305,11 @@ def test_track_speeds_and_width_replace_speed_and_yaw_rate(estimates):
     same = rhec.replay(tracks, first_yaw_rad=0.4, track_width_m=TRACK_WIDTH_M)
     np.testing.assert_allclose(same[ESTIMATE], estimates[ESTIMATE], atol=1e-6)
     wider = rhec.replay(
-        tracks, first_yaw_rad=0.4, track_width_m=1.2 * TRACK_WIDTH_M, process_noise="likelihood"
+        tracks,
+        first_yaw_rad=0.4,
+        track_width_m=1.2 * TRACK_WIDTH_M,
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
     )
     assert wider["kappa_hat"][300:].median() == pytest.approx(1.2 * KAPPA, abs=0.03)
 
@@ -457,7 +484,10 @@ def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):
     "given, sentence",
     [
         (dict(estimator="oracle"), "^estimator was 'oracle'"),
-        (dict(estimator="fixed_traction"), "^estimator was 'fixed_traction'"),
+        (
+            dict(estimator=RIVALS["fixed_traction"]),
+            "^estimator was Estimator.'fixed_traction_step'",
+        ),
         (dict(estimator="kalman"), "^estimator was 'kalman'"),
         (dict(sed=1), "^replay has no parameter 'sed'"),
         (dict(process_noise="bold"), "^process_noise was 'bold'"),
@@ -505,7 +535,9 @@ def test_the_shipped_log_is_reproducible(shipped):
 def test_speed_as_input_beats_the_papers_constant_speed_on_the_shipped_log(shipped):
     """One ν over a window of 3 s cannot be right while the speed changes."""
     by_input, by_parameter = (
-        scores.perturbed_scores(shipped, range(1), process_noise="likelihood", speed_model=model)
+        scores.perturbed_scores(
+            shipped, range(1), process_noise="prediction", sigma_v=paper.SIGMA_V, speed_model=model
+        )
         for model in ("input", "parameter")
     )
     assert (
@@ -548,7 +580,8 @@ def test_scores_equal_the_errors_put_in(estimates):
 
 def test_a_perturbed_replay_adds_the_noise_of_its_seed():
     one, again, other = (
-        scores.perturbed_replay(LOG, seed, process_noise="likelihood") for seed in (1, 1, 2)
+        scores.perturbed_replay(LOG, seed, process_noise="prediction", sigma_v=paper.SIGMA_V)
+        for seed in (1, 1, 2)
     )
     pd.testing.assert_frame_equal(one, again)
     assert not np.array_equal(one["x_meas_m"], other["x_meas_m"])

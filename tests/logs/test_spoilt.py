@@ -13,6 +13,7 @@ from helpers import recorded_log
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
+from rhec import paper
 from rhec.logs.likelihood import Likelihood
 from rhec.logs.recording import prepare, travelled
 from rhec.simulation.columns import ESTIMATE
@@ -125,7 +126,12 @@ def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
 
 
 def test_a_delay_that_is_told_is_made_up_for():
-    given = dict(process_noise="likelihood", speed_model="input", first_yaw_rad=(0.4, -2.0))
+    given = dict(
+        process_noise="prediction",
+        sigma_v=paper.SIGMA_V,
+        speed_model="input",
+        first_yaw_rad=(0.4, -2.0),
+    )
     fresh = rhec.replay(EXAMPLE, **given)
     late = EXAMPLE.groupby("segment")[["x_m", "y_m", "pos_ok"]].shift(4)
     with warnings.catch_warnings():

@@ -1,66 +1,212 @@
-"""Calibrated process noise: the likelihood of innovations on training seeds."""
+"""Tuned noises: what each rule asks for, on training seeds alone, and alike for every estimator."""
+
+import csv
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
 import rhec
 from notebooks.studies import calibration
-from rhec.tracked_robot.tuning import SIGMA_W
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.tuning import NOISES
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return [
-        rhec.simulate(rhec.Scenario(estimator="oracle", seed=seed))
-        for seed in calibration.TRAINING_SEEDS[:2]
-    ]
+    """Drives on seeds that no rule has seen."""
+    return calibration.oracle_runs(range(640000, 640008))
 
 
 @pytest.mark.parametrize("estimator", ["rhe", "ekf"])
-def test_the_calibrated_noise_explains_the_training_runs_better_than_the_printed(estimator, runs):
-    calibrated = calibration.deviance(estimator, SIGMA_W[estimator]["likelihood"], runs)
-    assert calibrated < calibration.deviance(estimator, SIGMA_W[estimator]["printed"], runs) - 100
-    for factor in (0.1, 10):  # and better than others near it, within the bounds of the search
-        other = np.maximum(factor * np.array(SIGMA_W[estimator]["likelihood"]), calibration.LEAST)
-        assert calibrated < calibration.deviance(estimator, other, runs)
+def test_the_noise_by_prediction_foresees_fresh_runs_better_than_others(estimator, runs):
+    """Better than the printed one, and than those near it in W and V alike."""
+
+    def deviance(noise):
+        return calibration.deviance(estimator, noise.sigma_w, runs, sigma_v=noise.sigma_v)
+
+    found = NOISES[estimator]["prediction"]
+    best = deviance(found)
+    assert best < deviance(NOISES[estimator]["printed"]) - 1000
+    for factor in (1 / 3, 3):
+        sigma_w = tuple(np.maximum(factor * np.array(found.sigma_w), calibration.LEAST).tolist())
+        sigma_v = tuple(factor * np.array(found.sigma_v))
+        assert best < deviance(found._replace(sigma_w=sigma_w))
+        assert best < deviance(found._replace(sigma_v=sigma_v))
 
 
-@pytest.mark.parametrize("estimator, entries", [("rhe", 6), ("ekf", 4)])
-def test_calibration_sees_training_seeds_alone_and_no_estimator_in_the_loop(
-    estimator, entries, monkeypatch
-):
-    seen, tried = [], []
-    monkeypatch.setattr(calibration, "simulate", seen.extend)
+def test_prediction_finds_the_noise_of_the_measurements_that_the_world_has(runs):
+    """The white part of the position's error, and of the speed the encoders' beside the common."""
+    world = rhec.Scenario()
+    white_m = world.gnss_sigma_m * np.sqrt(1 - world.gnss_slow_share)
+    for estimator in ("rhe", "ekf"):
+        x, y, nu, _ = NOISES[estimator]["prediction"].sigma_v
+        assert x == y == pytest.approx(white_m, rel=0.1)
+        assert nu == pytest.approx(world.speed_sigma_mps, rel=0.15)
 
-    def off_by(estimator, sigma_w, runs):
-        tried.append(sigma_w)
-        return np.square(np.log(np.divide(sigma_w, 0.0123))).sum()
 
-    monkeypatch.setattr(calibration, "deviance", off_by)
-    sigma, _ = calibration.calibrate(estimator)
-    np.testing.assert_allclose(sigma, (0.012,) * entries, rtol=0.1)
-    assert len(seen) >= 10 and min(scenario.seed for scenario in seen) >= 1000
+@pytest.fixture
+def bowl(monkeypatch):
+    """Every rule's objective is least where all that it may set is 0.0123; what it was asked."""
+    asked = []
+
+    def objective(fields, **world):
+        def value(sigma_w, sigma_v):
+            asked.append((sigma_w, sigma_v))
+            return np.square(np.log(np.divide((*sigma_w, *sigma_v), 0.0123))).sum()
+
+        return value
+
+    monkeypatch.setattr(calibration, "RULES", dict.fromkeys(calibration.RULES, objective))
+    return asked
+
+
+CASES = [(name, rule) for name, tuned in calibration.ESTIMATORS.items() for rule in tuned.rules]
+
+
+@pytest.mark.parametrize("estimator, rule", CASES)
+def test_a_rule_finds_all_that_the_estimator_uses_of_w_and_v(estimator, rule, bowl):
+    """A filter does not use the noise of the yaw rate: it stays as printed."""
+    row = calibration.calibrate(estimator, rule)
+    fields = calibration.ESTIMATORS[estimator].fields
+    scenario = rhec.Scenario(sigma_w=row["sigma_w"], sigma_v=row["sigma_v"], **fields)
+    np.testing.assert_allclose(scenario.sigma_w, 0.0123, rtol=0.05)
+    of_yaw_rate = 0.0123 if "rhe" in estimator else rhec.paper.SIGMA_V[3]
+    np.testing.assert_allclose(scenario.sigma_v, (*[0.0123] * 3, of_yaw_rate), rtol=0.05)
+
+
+@pytest.mark.parametrize("rule", ["consistent", "prediction", "tracking"])
+def test_rhe_and_ekf_are_tuned_with_equal_care(rule, bowl):
+    """The same bounds, and as many evaluations for each unknown."""
+    spent = {}
+    for name in ("rhe", "ekf"):
+        bowl.clear()
+        row = calibration.calibrate(name, rule)
+        tried = np.array([(*sigma_w, *sigma_v) for sigma_w, sigma_v in bowl])
+        assert len(tried) == row["evaluations"]
+        free = tried.min(axis=0) < tried.max(axis=0)
+        assert tried[:, free].min() >= calibration.LEAST and tried.max() <= calibration.MOST
+        spent[name] = len(tried) / (free.sum() - 2)  # x and y are one unknown, in W and in V
+    assert spent["rhe"] == pytest.approx(spent["ekf"], rel=0.35)
+
+
+def test_rules_see_training_seeds_alone_and_no_estimator_in_the_loop_but_for_tracking(monkeypatch):
+    seen = []
+
+    def simulate(scenarios):
+        seen.extend(scenarios)
+        return []
+
+    monkeypatch.setattr(calibration, "simulate", simulate)
+    for rule in ("consistent", "prediction", "soft_soil"):
+        calibration.RULES[rule](dict(estimator="ekf"))
     assert {scenario.estimator for scenario in seen} == {"oracle"}
-
-
-@pytest.mark.parametrize("estimator", calibration.OF_ERRORS)
-def test_w_by_tracking_is_found_within_its_bounds_wherever_the_least_error_is(
-    estimator, monkeypatch
-):
-    """One minimum is inside, and a shallower one is nearer to where a search would begin."""
+    assert {scenario.turns for scenario in seen} == {"alternate"}
+    seeds = {scenario.seed for scenario in seen} | {*calibration.TRAINING_SEEDS}
+    assert min(seeds) >= 1000 and max(seeds) < 2000
     driven = []
+    monkeypatch.setattr(calibration, "tracking_error_m", lambda **fields: driven.append(fields))
+    calibration.RULES["tracking"](dict(estimator="ekf"))(sigma_w=(1,), sigma_v=(2,))
+    assert driven == [dict(estimator="ekf", sigma_w=(1,), sigma_v=(2,))]
 
-    def drive(**fields):
-        scenario = rhec.Scenario(**fields)
-        driven.append(scenario)
-        away = np.log(np.divide(scenario.sigma_w[:4], 0.1))
-        return min(np.square(away).sum(), 0.5 + np.square(away - np.log(0.02)).sum())
 
-    monkeypatch.setattr(calibration, "tracking_error_m", drive)
-    sigma, least = calibration.tune_for_tracking(estimator)
-    assert {scenario.estimator for scenario in driven} == {estimator}
-    np.testing.assert_allclose(sigma[:4], 0.1, rtol=0.3)
-    assert least < 0.2
-    tried = np.array([scenario.sigma_w for scenario in driven])
-    assert tried.min() > calibration.LEAST * 0.99 and tried.max() < 1.01
-    assert {scenario.sigma_v is not None for scenario in driven} == {estimator == "rhe"}
+def test_the_search_finds_the_deeper_of_two_minima(monkeypatch):
+    """A line search from 0.01 ends in the shallower one."""
+
+    def two(fields):
+        def value(sigma_w, sigma_v):
+            away = np.log(np.divide((*sigma_w, *sigma_v[:3]), 0.1))
+            return min(np.square(away).sum(), 0.5 + np.square(away - np.log(0.02)).sum())
+
+        return value
+
+    rules = calibration.RULES | dict(tracking=two)
+    monkeypatch.setattr(calibration, "RULES", rules)
+    for estimator in ("rhe", "ekf"):
+        row = calibration.calibrate(estimator, "tracking")
+        np.testing.assert_allclose(row["sigma_w"], 0.1, rtol=0.1)
+        assert row["objective"] < 0.1
+
+
+def test_a_noise_with_which_an_estimator_diverges_is_never_the_best(monkeypatch):
+    def diverges_above(fields):
+        return lambda sigma_w, sigma_v: np.nan if sigma_w[0] > 0.02 else -sigma_w[0]
+
+    rules = calibration.RULES | dict(tracking=diverges_above)
+    monkeypatch.setattr(calibration, "RULES", rules)
+    assert 0.01 < calibration.calibrate("ekf", "tracking")["sigma_w"][0] <= 0.02
+
+
+# The table
+
+
+def rows_of(file):
+    with open(file, encoding="utf-8", newline="") as lines:
+        return [*csv.DictReader(lines)]
+
+
+def test_the_shipped_table_has_a_row_for_each_estimator_and_rule_and_says_how_it_was_made():
+    files = {calibration.file_of(name) for name in calibration.ESTIMATORS}
+    rows = [row for file in files for row in rows_of(file)]
+    found = {(row["estimator"], row["process_noise"]) for row in rows}
+    assert found >= {*CASES} and len(found) == len(rows)
+    for row in rows:
+        assert all(row[column] for column in calibration.COLUMNS), row
+
+
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("estimator, rule", [("ekf", "prediction"), ("ekf", "tracking"), *CASES])
+def test_the_shipped_objective_is_that_of_the_shipped_noise(estimator, rule):
+    (row,) = (
+        row
+        for row in rows_of(calibration.file_of(estimator))
+        if (row["estimator"], row["process_noise"]) == (estimator, rule)
+    )
+    fields = calibration.ESTIMATORS[estimator].fields
+    noises = tuning.noises_of(tuning.name_of_noise(rhec.Scenario(**fields)))
+    value = calibration.RULES[rule](fields)(**noises[rule]._asdict())
+    assert value == pytest.approx(float(row["objective"]), rel=1e-6)
+
+
+def test_rows_are_made_again_one_by_one_and_others_stay(tmp_path, monkeypatch):
+    """Those of estimators that this command does not know stay, too."""
+    file = tmp_path / "tuned.csv"
+    rows = calibration.read_rows(tuning.FILE)
+    rows["somebody", "prediction"] = rows["ekf", "prediction"] | dict(estimator="somebody")
+    calibration.write_rows(file, rows)
+    assert calibration.read_rows(file) == rows
+
+    class Here:
+        def __init__(self, *_, **__):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def submit(self, function, *arguments):
+            future = Future()
+            future.set_result(function(*arguments))
+            return future
+
+    def made(estimator, rule):
+        numbers = dict(sigma_w=(0.5, 0.25), sigma_v=(0.125,))
+        about = dict(estimator=estimator, process_noise=rule)
+        return about | numbers | dict(objective=1.5, evaluations=7, seeds="1000-1001")
+
+    monkeypatch.setattr(calibration, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(calibration, "calibrate", made)
+    calibration.make_table(["ekf"], ["prediction", "tracking"], 1, lambda name: file)
+    after = calibration.read_rows(file)
+    changed = {key for key in rows if after[key] != rows[key]}
+    assert changed == {("ekf", "prediction"), ("ekf", "tracking")} and [*after] == [*rows]
+    assert after["ekf", "tracking"]["sigma_w"] == "0.5 0.25"
+
+
+def test_an_estimator_that_is_not_tuned_is_refused_in_one_sentence(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["calibration", "oracle"])
+    with pytest.raises(SystemExit):
+        calibration.main()
+    assert "estimator was 'oracle'; it should be one of ('rhe'" in capsys.readouterr().err

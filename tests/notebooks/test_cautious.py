@@ -8,6 +8,7 @@ from oracles import flat
 
 import rhec
 from notebooks.further.rivals import cautious
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -98,7 +99,7 @@ def test_what_makes_no_sense_makes_it_slow_and_is_forgotten(settled, absurd):
 def test_on_a_wet_patch_it_is_slow_and_stays_nearer():
     """κ halves where the row turns; beside it, the same drive at a constant speed."""
     patch = dict(patches=((36.0, 4.0, 3.0, 0.9, 0.35),), duration_s=120.0, seed=1)
-    plain = rhec.Scenario(estimator="yaw_drift_ekf", **patch)
+    plain = rhec.Scenario(estimator=RIVALS["yaw_drift_ekf"], **patch)
     slow = rhec.simulate(dataclasses.replace(plain, controller=cautious.controller(plain)))
     error = slow.metrics["max_error_true_m"]
     assert error < rhec.simulate(plain).metrics["max_error_true_m"] / 2

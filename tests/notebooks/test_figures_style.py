@@ -7,6 +7,7 @@ import functools
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
@@ -71,6 +72,43 @@ def test_a_figure_made_again_is_the_same_bytes_and_tells_its_source(tmp_path, mo
     for expected in ("/Title (parabola)", SCENARIO_JSON, "/Subject (03.ipynb)"):
         assert expected.encode() in pdf["first"]
     assert b"CreationDate" not in pdf["first"]
+
+
+def test_what_other_parameters_made_says_so_and_lies_elsewhere(tmp_path, monkeypatch):
+    """Above the figure, in its file, and in the table's caption; check-figures tells it, too."""
+    for name in ("RHEC_FIGURES", "RHEC_NOTEBOOK", "JPY_SESSION_NAME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(style, "FOLDER", tmp_path)
+    table = pd.DataFrame(dict(error_m=[0.0423]))
+    own = style.save(parabola(), "parabola").png
+    csv = style.save_table(table, "errors", "Errors")
+    assert style.note_of(csv) == ""
+    pixels = np.asarray(Image.open(own))
+    try:
+        folder = style.set_changed("04_scenario_b", dict(world="wet patches", seeds=3))
+        assert folder == tmp_path / "04_scenario_b/world=wet_patches,seeds=3"
+        note = "world = wet patches, seeds = 3"
+        other = style.save(parabola(), "parabola").png
+        assert other.parent == folder
+        assert Image.open(other).text["Subject"] == f"04_scenario_b.ipynb, {note}"
+        # The figure is as it was, below a line.
+        shown = np.asarray(Image.open(other))
+        more = len(shown) - len(pixels)
+        assert 30 < more < 60 and (shown[more:] == pixels).mean() > 0.999
+        assert (shown[:more] != 255).any()
+        csv = style.save_table(table, "errors", "Errors")
+        assert csv.parent == folder and style.note_of(csv) == note
+        assert rf"Errors ({note})" in csv.with_suffix(".tex").read_text()
+        # What has a folder of its own is none of the notebook's.
+        mine = style.save(parabola(), "parabola", folder=tmp_path / "explored").png
+        assert (np.asarray(Image.open(mine)) == pixels).all()
+        assert len(style.set_changed("long", dict(log="/" + "a" * 999)).name) < 150
+        # RHEC_FIGURES is where its user wants them, and they still say so.
+        monkeypatch.setenv("RHEC_FIGURES", str(tmp_path))
+        assert style.set_changed("04_scenario_b", dict(seeds=3)) == tmp_path
+        assert style.note_of(style.save_table(table, "errors", "Errors")) == "seeds = 3"
+    finally:
+        assert style.set_changed("", {}) == tmp_path
 
 
 def test_a_table_comes_back_as_it_went(tmp_path):

@@ -35,7 +35,6 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
             z_N=(x, 0, 0.45, 0),
             V=np.square(paper.SIGMA_V),
             W=np.square([sigma_x_m, sigma_x_m, sigma_theta, 1e-6]),
-            traction=(1, 1),
         )
         m, x = result["memory"], x + DT * 0.45
     (row,) = interpretations.ekf_on_a_straight([sigma_x_m], sigma_theta).itertuples()
@@ -66,7 +65,7 @@ def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine
     table = interpretations.likelihood_profile("ekf", "theta", (0.2, 1.0, 5.0), seeds=1)
     assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
     assert list(table["sigma"]) == pytest.approx(
-        [factor * tuning.SIGMA_W["ekf"]["likelihood"][2] for factor in (0.2, 1, 5)]
+        [factor * tuning.NOISES["ekf"]["prediction"].sigma_w[2] for factor in (0.2, 1, 5)]
     )
 
 
@@ -81,7 +80,7 @@ def moved(virtual_machine):
         patch.setattr(
             interpretations, "Scenario", lambda **fields: rhec.Scenario(duration_s=20.0, **fields)
         )
-        yield interpretations.one_at_a_time("likelihood", 3)
+        yield interpretations.one_at_a_time("prediction", 3)
 
 
 def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_seeds(moved):
@@ -121,6 +120,6 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
     )
     runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)
     assert [scenario.sigma_w for scenario in asked] == [
-        (*tuning.SIGMA_W["rhe"]["printed"][:5], value) for value in (0.25, 0.01)
+        (*tuning.NOISES["rhe"]["printed"].sigma_w[:5], value) for value in (0.25, 0.01)
     ]
     assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)

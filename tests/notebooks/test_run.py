@@ -1,3 +1,4 @@
+import json
 import os
 import re
 import shutil
@@ -16,8 +17,9 @@ from nbformat import v4
 from traitlets.config import PyFileConfigLoader
 
 from notebooks import run as notebook
-from notebooks.parameter_table import parameters_of
+from notebooks.parameter_table import own_parameters, parameters_of
 from notebooks.run import ParameterError, parameters
+from rhec import style
 
 CELL = """
 from typing import Literal
@@ -27,7 +29,7 @@ seed: int = 7  # as of rhec.Scenario
 seeds: whole(2, 1000) = 20
 speed_mps: float = 0.5  # [m/s] as of rhec.Scenario
 delay_s: real(-10, 10) = 0
-process_noise: Literal["printed", "likelihood"] = "printed"
+process_noise: Literal["printed", "prediction"] = "printed"
 gains: list[real(0, 100)] = [1, 2.5]
 is_robust: bool = False
 file: str = "log.csv"
@@ -52,7 +54,7 @@ def executed(cell=CELL, **injected):
         (
             "process_noise",
             "guess",
-            "process_noise was 'guess'; it should be 'printed' or 'likelihood'",
+            "process_noise was 'guess'; it should be 'printed' or 'prediction'",
         ),
         ("gains", [1, False], "gains[1] was False; it should be a number"),
         ("sed", 9, "sed was 9, but there is no such parameter; did you mean seed?"),
@@ -67,7 +69,7 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
 
 
 def test_values_within_the_types_pass():
-    allowed = dict(seed=0, seeds=1000, speed_mps=1, gains=(), process_noise="likelihood")
+    allowed = dict(seed=0, seeds=1000, speed_mps=1, gains=(), process_noise="prediction")
     parameters(executed(**allowed, is_robust=True))
 
 
@@ -94,6 +96,48 @@ def test_every_notebook_checks_its_parameters_and_the_table_has_them(path):
     assert all(each.meaning and each.type for each in found.values())
 
 
+def test_the_defaults_by_which_a_changed_notebook_is_known_are_those_of_the_notebooks():
+    """`python -m notebooks.parameter_table` writes them."""
+    assert json.loads(notebook.DEFAULTS.read_text()) == own_parameters()
+
+
+@pytest.fixture
+def as_it_is():
+    """Figures after a test go where they went before."""
+    yield
+    style.set_changed("", {})
+
+
+def cell_of(path):
+    """The cell with the parameters of a notebook."""
+    cells = nbformat.read(path, 4).cells
+    return next(cell.source for cell in cells if "parameters" in cell.metadata.get("tags", ()))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS)
+def test_no_notebook_with_other_parameters_writes_to_figures(path, as_it_is, monkeypatch, capsys):
+    """Whether they are injected, or the cell itself is edited, and whoever runs it."""
+    monkeypatch.delenv("RHEC_FIGURES", raising=False)
+    monkeypatch.setattr(style, "FOLDER", Path("figures"))
+    cell = cell_of(path)
+    name, default = next(
+        (key.partition(":")[0], value)
+        for key, value in own_parameters()[path.stem].items()
+        if "seed" in key or "fields" in key or "worlds" in key
+    )
+    assert re.search(rf"^{name}: .* = {default}\b", cell, re.M)
+    edited = re.sub(rf"^({name}: .* = ){default}\b", rf"\g<1>{default + 2}", cell, flags=re.M)
+    for namespace in (executed(cell, **{name: default + 2}), executed(edited)):
+        parameters(executed(cell))
+        assert style.set_changed("", {}) == Path("figures") and capsys.readouterr().out == ""
+        parameters(namespace)
+        told = capsys.readouterr().out
+        assert told == (
+            f"With {name} = {default + 2}: figures and tables go to "
+            f"figures/{path.stem}/{name}={default + 2}\n"
+        )
+
+
 def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     path = "notebooks/03_scenario_a.ipynb"
     monkeypatch.setattr(sys, "argv", ["notebook", path, "--help"])
@@ -101,7 +145,7 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
     assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
-    assert "process_noise: printed or likelihood" in shown
+    assert "process_noise: printed, consistent, prediction or tracking" in shown
     assert "-p seed 0" in shown
 
 
@@ -229,6 +273,14 @@ def test_a_kernel_that_dies_in_a_cell_does_not_start_again(tmp_path, monkeypatch
         run_toy(monkeypatch, toy(tmp_path, cell))
     assert capsys.readouterr().err.endswith("toy: Kernel died\n")
     assert (tmp_path / "begun").read_text() == "."
+
+
+def test_a_full_disk_in_a_cell_is_a_sentence_that_names_the_file(tmp_path, monkeypatch, capsys):
+    writing = "with replacing('fig.png') as file: raise OSError(28, 'No space left on device')"
+    cell = f"from rhec.files import replacing\n{writing}"
+    with pytest.raises(SystemExit):
+        run_toy(monkeypatch, toy(tmp_path, cell))
+    assert capsys.readouterr().err == "toy: [Errno 28] No space left on device: 'fig.png'\n"
 
 
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):

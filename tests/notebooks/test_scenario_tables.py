@@ -20,17 +20,24 @@ def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
 
 
 def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
-    sweep, runs = scenario_tables.scenario_b(2, 1, **SHORT)
-    driven = set(zip(sweep["process_noise"], sweep["estimator"]))
-    assert driven == {(w, name) for w in scenario_tables.PROCESS_NOISES for name in ("rhe", "ekf")}
-    assert len(sweep) == 2 * len(driven)
+    sweep, runs = scenario_tables.scenario_b(2, 1, beside=1, turns="right", **SHORT)
+    driven = set(zip(sweep["turns"], sweep["process_noise"], sweep["estimator"]))
+    assert driven == {
+        (turns, w, name)
+        for turns in scenario_tables.TURNS
+        for w in scenario_tables.PROCESS_NOISES
+        for name in ("rhe", "ekf")
+    }
+    fields = sweep.groupby("turns", sort=False)["seed"].agg(lambda seeds: sorted({*seeds}))
+    assert list(fields) == [[0, 1], [0], [0], [0]] and fields.index[0] == "right"
     assert {name: list(of) for name, of in runs.items()} == dict.fromkeys(
-        ("printed", "likelihood"), ["RHE", "EKF"]
+        scenario_tables.PROCESS_NOISES, ["RHE", "EKF"]
     )
-    (run,) = runs["likelihood"]["EKF"]
-    scenario = rhec.Scenario(estimator="ekf", process_noise="likelihood", **SHORT)
+    (run,) = runs["prediction"]["EKF"]
+    scenario = rhec.Scenario(estimator="ekf", process_noise="prediction", turns="right", **SHORT)
     assert run.scenario == scenario
-    pair = scenario_tables.rhe_and_ekf(process_noise="likelihood", seed=0, **SHORT)
+    drive = SHORT | dict(turns="right")
+    pair = scenario_tables.rhe_and_ekf(process_noise="prediction", seed=0, **drive)
     assert pair["EKF"].columns["x_m"].tolist() == run.columns["x_m"].tolist()
 
 
@@ -44,10 +51,28 @@ def test_the_share_of_fields_in_which_the_rhe_is_better_is_counted_at_equal_seed
             for error_m in errors_m
         ]
     ).assign(mean_error_true_m=0.0, violations_true=0.0, rms_yaw_rad=0.0, rms_mu=0.0, rms_kappa=0.0)
-    sweep = sweep.assign(settling_time_s=9.0, max_error_true_m=0.1)
+    sweep = sweep.assign(settling_time_s=9.0, max_error_true_m=0.1, turns="left")
     table = scenario_tables.scenario_b_table(sweep).set_index(["estimator", "quantity"])
     row = table.loc[("P(RHE < EKF)", "mean error, raw GNSS [m]")]
     assert row["mean"] == 1 / 8 and row["n"] == 8 and row["low"] < 1 / 8 < row["high"]
-    lost = sweep.assign(max_error_true_m=np.where(sweep["estimator"] == "ekf", 5.0, 0.1))
+    lost = sweep.assign(mean_error_m=np.where(sweep["estimator"] == "ekf", 5.0, 0.1))
     table = scenario_tables.scenario_b_table(lost).set_index(["estimator", "quantity"])
     assert table.loc[("RHE - EKF", "mean error, raw GNSS [m]"), "verdict"] == statistics.LOST
+
+
+def test_a_drive_without_a_violation_is_counted_and_not_averaged():
+    """Of four drives two have none, however many the others have."""
+    sweep = pd.DataFrame(
+        [
+            dict(estimator=name, violations=count, mean_error_m=0.04 + 0.01 * (name == "ekf"))
+            for name in ("rhe", "ekf")
+            for count in (0, 0, 1, 700)
+        ]
+    ).assign(turns="eight", process_noise="printed", settling_time_s=9.0, max_error_true_m=0.1)
+    zero = dict.fromkeys(
+        "mean_error_true_m violations_true rms_yaw_rad rms_mu rms_kappa".split(), 0.0
+    )
+    table = scenario_tables.scenario_b_table(sweep.assign(**zero)).set_index("quantity")
+    shares = table.loc["share of drives without a violation"]
+    assert (shares["mean"] == 0.5).all() and (shares["n"] == 4).all()
+    assert list(shares["paper"]) == [1, 0]

@@ -7,7 +7,7 @@ from notebooks.further import recorded_logs
 def test_the_papers_estimators_have_the_noise_that_was_asked_for():
     printed = recorded_logs.estimators("printed", {})
     assert {each["process_noise"] for name, each in printed.items() if name != "RHE"} == {"printed"}
-    likeliest = recorded_logs.estimators("likelihood", {})
+    likeliest = recorded_logs.estimators("prediction", {})
     noises = {each["process_noise"] for name, each in likeliest.items() if name != "RHE"}
     assert noises == {"soft_soil"}
     for arguments in likeliest.values():

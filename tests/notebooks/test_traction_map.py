@@ -7,6 +7,7 @@ import pytest
 
 import rhec
 from notebooks.further import traction_map
+from notebooks.rivals import RIVALS
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import random_for
 
@@ -35,7 +36,7 @@ def test_no_robot_is_told_of_more_traction_than_there_can_be():
 def test_a_robot_drives_by_what_it_is_told(told, expected):
     """On even soil a robot that is told its traction is the one that was told these constants."""
     scenario = rhec.Scenario(
-        estimator="fixed_traction", duration_s=5.0, mu_mean=0.88, mu_deviation=0.0,
+        estimator=RIVALS["fixed_traction"], duration_s=5.0, mu_mean=0.88, mu_deviation=0.0,
         kappa_mean=0.8, kappa_deviation=0.0,
     )  # fmt: skip
     soil = random_for(scenario, path_of(scenario))
@@ -92,5 +93,17 @@ def test_the_rule_of_thumb_can_come_out_either_way():
     assert "κ too high by 0.2 (6 of 6 soils). Against" in words
     assert "only where the mean κ is 0.8 or less" in words
     assert "instead of the paper's 10 that takes 75 % off" in words
+    assert "guess low: a constant κ too low by 0.2 has 1.00 times the error of the right" in words
     never = traction_map.rule_in_words(traction_map.worth_map(made_up(lambda *_: 1.0)))
-    assert "two constants do as well" in never
+    assert "Two constants do as well" in never
+
+
+def test_a_constant_that_is_too_low_may_cost():
+    def low_costs(kappa, variation, loop):
+        return 0.8 if loop == -0.2 else 1.0
+
+    table = traction_map.worth_map(made_up(low_costs))
+    np.testing.assert_allclose(table[table["told"] == "-0.2"]["over_right"], 1.25)
+    words = traction_map.rule_in_words(table)
+    assert "A constant κ too low by 0.2 has 1.25 times the error of the right one (" in words
+    assert ", and one too high by 0.2 has 1.00 times the error of the right one (" in words

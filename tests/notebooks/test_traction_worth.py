@@ -10,12 +10,16 @@ SEEDS = 40
 # Errors over that of the paper's RHE, by loop, the best first.
 FACTORS = {
     "full oracle": 0.02,
+    "RHE with a gyro": 0.4,
     "yaw-drift EKF": 0.45,
+    "drift oracle": 0.46,
+    "RHE with yaw drift": 0.48,
     "EKF, traction two constants": 0.5,
     "traction oracle": 0.5045,
     "bounded EKF": 0.505,
     "RHE, traction two constants": 0.55,
     "RHE": 0.6,
+    "EKF": 0.7,
     "RHE, as printed": 1.0,
     "EKF, as printed": 3.0,
 }

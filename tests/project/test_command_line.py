@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -163,7 +162,9 @@ def test_what_exists_is_kept(capsys, tmp_path, make, words):
 
 
 @may_be_unsure
-def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path, monkeypatch):
+def test_a_file_stays_until_the_one_that_replaces_it_is_whole(
+    log_file, tmp_path, monkeypatch, capsys
+):
     """As if the disk were full in the middle of it."""
     run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
     replay = ["log", str(log_file), "--output", "estimates"]
@@ -174,7 +175,7 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path
     whole = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
 
     def half(self, file, *_, **__):
-        (self if isinstance(self, Path) else Path(file)).write_bytes(b"half")
+        file.write(b"half")
         raise OSError("No space left on device")
 
     writers = [(pd.DataFrame, "to_csv", run), (pd.DataFrame, "to_csv", replay)]
@@ -184,6 +185,7 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(log_file, tmp_path
         with monkeypatch.context() as failing:
             failing.setattr(owner, name, half)
             assert main(words if words is campaign else [*words, "--overwrite"]) == 1
+        assert re.search(r"No space left on device: '[\w/]+\.\w+'\n$", capsys.readouterr().err)
         assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == whole
 
 
@@ -229,6 +231,6 @@ def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch,
     monkeypatch.setenv("HOME", str(tmp_path))
     script = tmp_path / "script"
     assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
-    words = "kappa-mean track-width-m process-noise soft_soil drift_oracle prepared_anew".split()
+    words = "kappa-mean track-width-m process-noise soft_soil bounded_ekf prepared_anew".split()
     assert all(word in script.read_text() for word in words)
     assert re.search("wet.* patches", script.read_text())

@@ -84,6 +84,29 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     assert abs(there["u"]).max() <= 1 and there["run"].metrics["solver_ok"]
 
 
-def test_the_results_in_the_readme_are_those_of_the_tables():
-    assert results.rewrite(TEXT["README.md"]) == TEXT["README.md"]
-    assert set(re.findall(r"<!-- results (\w+) -->", TEXT["README.md"])) == set(results.BLOCKS)
+def test_the_results_in_readme_and_docs_are_those_of_the_tables():
+    texts = [(ROOT / page).read_text(encoding="utf-8") for page in results.PAGES]
+    for page, text in zip(results.PAGES, texts):
+        assert results.rewrite(text) == text, f"{page}: python -m docs.site.results writes it"
+    used = [name for text in texts for name in re.findall(r"<!-- results (\w+) -->", text)]
+    assert sorted(used) == sorted(results.BLOCKS)
+
+
+def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
+    lines = TEXT["README.md"].splitlines()
+    answer = lines.index("<!-- results answer -->")
+    end = lines.index("<!-- end -->")
+    assert end <= 40
+    before = " ".join(lines[:answer])
+    assert "field data of the paper were never published" in before
+    assert "soil that was chosen so that the paper's numbers are possible" in before
+    assert "make figures" in before and "make test" in before and before.count("<img") == 1
+    (sentence,) = [line for line in lines[answer:end] if line.startswith("**")]
+    assert sentence.count(". ") == 0 and sentence.endswith(".**")
+    rows = [line for line in lines[answer:end] if line.startswith("| ")]
+    assert [cell.strip() for cell in rows[0].split("|")[2:4]] == ["the paper", "W as printed"]
+    assert 6 <= len(rows) - 2 <= 7
+
+
+def test_no_sign_outside_of_the_alphabet_is_data_in_the_readme():
+    assert not [sign for sign in TEXT["README.md"] if ord(sign) >= 0x2600]

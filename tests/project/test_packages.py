@@ -37,6 +37,19 @@ def environment():
     return (ROOT / "environment.txt").read_text(encoding="utf-8")
 
 
+def test_a_user_of_notebooks_gets_no_builder_of_sites():
+    lab = {Requirement(text).name for text in PROJECT["project"]["optional-dependencies"]["lab"]}
+    assert lab.isdisjoint({"furo", "latex2mathml", "myst-nb", "sphinx", "typst"})
+    assert {"jupyterlab", "papermill"} <= lab
+
+
+def test_engines_are_pinned_beside_what_is_installed(environment):
+    """No package of tests/engines.txt would replace one of environment.txt."""
+    engines = pinned((ROOT / "tests/engines.txt").read_text(encoding="utf-8"), "3.11")
+    assert {"distributed", "mpi4py", "ipyparallel"} <= {*engines}
+    assert {*engines}.isdisjoint(pinned(environment, "3.11"))
+
+
 @pytest.mark.parametrize("python", ["3.11", "3.12", "3.13", "3.14"])
 def test_every_pin_satisfies_the_bounds_of_pyproject(environment, python):
     pins = pinned(environment, python)

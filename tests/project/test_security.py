@@ -1,5 +1,6 @@
 """The promises of docs/threat_model.md and SECURITY.md that no other test covers."""
 
+import importlib.util
 import re
 from pathlib import Path
 
@@ -43,6 +44,30 @@ def test_helpers_of_casadi_in_an_export_are_under_the_licence_that_is_named(tmp_
 def test_the_site_has_the_licences_of_what_it_shows(package):
     text = report.licence(package)
     assert "Copyright" in text and "WARRANT" in text
+
+
+def test_a_release_is_of_what_passed_and_was_installed_and_run():
+    """In this order, in one job; what is published is the file that was run."""
+    jobs = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text())["jobs"]
+    text = "".join(str(step) for step in jobs["wheel"]["steps"])
+    order = ["bash .ci/run", "test_wheel.py", "pip wheel", "user/bin/pip install"]
+    order += ["user/bin/rhec simulate", "upload-artifact"]
+    places = [text.index(step) for step in order]
+    assert places == sorted(places)
+    assert jobs["publish"]["needs"] == "wheel"
+    assert "pip" not in "".join(str(step) for step in jobs["publish"]["steps"][:-1])
+
+
+def test_what_the_settings_of_other_tools_name_exists():
+    """Goals of make for dependabot, programs of .venv for pre-commit, the digest of a base."""
+    makefile = (ROOT / "Makefile").read_text()
+    goals = re.findall(r"`make ([\w-]+)", (ROOT / ".github/dependabot.yml").read_text())
+    assert goals and all(f"\n{goal}:" in makefile for goal in goals)
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    for hook in hooks:
+        module = hook["entry"].split("-m ")[1].split()[0]
+        assert importlib.util.find_spec(module), module
+    assert re.search(r"^FROM \S+@sha256:[0-9a-f]{64}$", (ROOT / "Containerfile").read_text(), re.M)
 
 
 @pytest.mark.parametrize("name", ["check", "nightly", "release"])

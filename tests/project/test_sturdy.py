@@ -129,7 +129,7 @@ def test_an_interrupted_picture_or_table_leaves_the_old_one(
     whole = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
 
     def interrupted(self, file, **options):
-        Path(file).write_bytes(b"half")
+        file.write(b"half")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(owner, writer, interrupted)

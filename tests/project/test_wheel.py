@@ -17,7 +17,7 @@ pytestmark = pytest.mark.nightly
 
 ROOT = Path(__file__).parents[2]
 PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
-SCENARIO = dict(duration_s=20.0, process_noise="likelihood", seed=3)
+SCENARIO = dict(duration_s=20.0, process_noise="prediction", seed=3)
 
 # The folder of the wheel comes first, that of the checkout is gone, extras cannot be imported.
 SETTING = """

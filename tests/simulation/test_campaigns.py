@@ -3,9 +3,11 @@
 import concurrent.futures
 import contextlib
 import dataclasses
+import errno
 import functools
 import io
 import itertools
+import multiprocessing
 import os
 import re
 import shutil
@@ -295,14 +297,14 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
     """Each field alone, by as little as there is of a number; and parts of soils, paths, steps."""
     soil, path = rhec.Terrain.uniform(0.7, 0.6), rhec.Path.from_segments([(20.0, 0.0)])
     changes = dict(
-        estimator="rhe", process_noise="likelihood", sigma_v=(0.1,) * 4, sigma_w=(1.0,) * 4,
+        estimator="rhe", process_noise="prediction", sigma_v=(0.1,) * 4, sigma_w=(1.0,) * 4,
         speed_model="input", slip=(0.2, 0.1, 0.1, 0.02, 0.05), arrival_mean="smoothed",
-        yaw_rate_interval="after", input_reference="curvature", command_delay=1,
+        input_reference="curvature", command_delay=1,
         traction_timing="sample_before", controller=own_controller(SHORT), soil_under="centre",
-        backwards=True, path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
+        backwards=True, turns="left", path=path, terrain=soil, patches=((0.0, 0.0, 1.0, 0.5, 0.5),),
         faults=(rhec.Fault(kind="stuck"),),
     )  # fmt: skip
-    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading")
+    only_of_the_rhe = ("sensors", "sigma_gyro", "sigma_heading", "yaw_drift")
     for field in dataclasses.fields(SHORT):
         if field.name not in changes and field.name not in only_of_the_rhe:
             old = getattr(SHORT, field.name)
@@ -324,6 +326,7 @@ def test_whatever_differs_between_two_scenarios_is_told_apart():
         sensing,
         sensing | dict(sigma_gyro=(0.03, 0.1)),
         sensing | dict(sigma_heading=0.05),
+        dict(estimator="rhe", yaw_drift=True, sigma_w=None),
     ]
     more += [{name: value} for name, value in changes.items()]
     scenarios = [SHORT, *(dataclasses.replace(SHORT, **each) for each in more)]
@@ -370,6 +373,34 @@ def test_a_file_that_cannot_be_read_is_made_again(tmp_path, ran, spoil):
     assert_equal_rows(rhec.campaign(short(), tmp_path), first)
 
 
+def test_a_file_that_went_through_pandas_is_read(tmp_path, ran):
+    """There NaN is written as null."""
+    scenarios = [*short(3), dataclasses.replace(SHORT, estimator="oracle", seed=9)]
+    first = rhec.campaign(scenarios, tmp_path)
+    (file,) = tmp_path.glob("*/*.parquet")
+    nulls = sum(column.null_count for column in pq.read_table(file).columns)
+    pd.read_parquet(file).to_parquet(file)
+    assert sum(column.null_count for column in pq.read_table(file).columns) > nulls == 0
+    ran.clear()
+    assert_equal_rows(rhec.campaign(scenarios, tmp_path), first)
+    assert ran == []
+
+
+def test_what_is_no_file_is_left_aside(tmp_path, ran):
+    """A pipe would be waited for, a loop of links is none, and nothing is in a folder."""
+    first = rhec.campaign(short(), tmp_path)
+    (folder,) = tmp_path.iterdir()
+    os.mkfifo(folder / "a.parquet")
+    (folder / "b.parquet").symlink_to("b.parquet")
+    (folder / "c.parquet").mkdir()
+    ran.clear()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert_equal_rows(rhec.campaign(short(), tmp_path), first)
+    assert ["it is no file" in str(each.message) for each in caught] == [True] * 3
+    assert ran == []
+
+
 def test_no_damaged_row_is_ever_taken(tmp_path):
     """One bit anywhere in the file: either it does not matter, or the file is left aside."""
     rhec.campaign(short(3), tmp_path)
@@ -387,11 +418,11 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
     def full(table, file, **options):
-        Path(file).write_bytes(b"half")
-        raise OSError("No space left on device")
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(pq, "write_table", full)
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match=r"No space left on device: '.*\.parquet'"):
         store.save_rows(tmp_path, {"a": dict(error="")})
     assert not [*tmp_path.iterdir()]
 
@@ -455,29 +486,38 @@ def test_a_killed_workers_runs_are_redone_and_what_kills_workers_is_a_row_with_i
     assert psutil.CONN_LISTEN not in [port.status for port in ports]
 
 
-class _DyingWorkers:
+class _Dying(concurrent.futures.Executor):
     """Workers in this process that die again and again, more likely the more runs a task has."""
 
-    count = 2
+    _max_workers = 2
 
-    def __init__(self):
+    def __init__(self, death):
         self.deaths = 0
+        self.death = death
         self.random = np.random.default_rng(0)
 
     def submit(self, function, task):
         future = concurrent.futures.Future()
         if isinstance(task, dict) and self.random.random() < len(task) / 10:
             self.deaths += 1
-            future.set_exception(loky.process_executor.TerminatedWorkerError())
+            future.set_exception(self.death())
         else:
-            future.set_result((None, function(task)))  # in no file
+            future.set_result(function(task))
         return future
 
 
-def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(monkeypatch):
-    dying = _DyingWorkers()
-    monkeypatch.setattr(campaigns, "get_workers", lambda *_: dying)
-    table = rhec.campaign(short(80))
+@pytest.mark.parametrize(
+    "death",
+    [
+        loky.process_executor.TerminatedWorkerError,
+        type("KilledWorker", (Exception,), {}),
+        type("RemoteError", (Exception,), dict(ename="EngineError")),
+    ],
+)
+def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(death):
+    """Whether that is told as by loky, by Dask or by ipyparallel."""
+    dying = _Dying(death)
+    table = rhec.campaign(short(80), workers=dying)
     assert dying.deaths > 10
     assert_equal_rows(table, rhec.campaign(short(80), workers=1))
 
@@ -597,7 +637,10 @@ def test_workers_with_other_code_are_refused(tmp_path):
     for name in ("rhec", "data"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     done = by_script(OTHER_CODE, tmp_path, package=tmp_path)
-    sentence = r"the worker has source of rhec \w+, but the caller has \w+; they must be the same\n"
+    sentence = (
+        r"the worker on \S+ has source of rhec \w+, but the caller has \w+, so their results may "
+        r"differ; install the same rhec and packages on all machines and start the workers anew\n"
+    )
     assert re.fullmatch(sentence, done.stdout), done
 
 
@@ -605,8 +648,94 @@ def test_workers_with_other_code_are_refused(tmp_path):
 def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
     """What they would compute on the virtual machine differs in its last bits."""
     monkeypatch.setenv("CC", "")  # the caller has found its compiler already
-    with pytest.raises(RuntimeError, match="the worker has C compiler False, but the caller has "):
+    with pytest.raises(
+        RuntimeError, match="has C compiler False, but the caller has True, .*CC should"
+    ):
         rhec.campaign(short(), workers=3)
+
+
+# Executors of the caller
+
+
+@pytest.fixture(scope="module")
+def processes():
+    """Two processes of the standard library."""
+    with concurrent.futures.ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
+def test_any_executor_computes_the_same_rows(tmp_path, processes):
+    """Processes, and threads, which share compiled code."""
+    scenarios = [*short(20), BROKEN]
+    here = rhec.campaign(scenarios)
+    with concurrent.futures.ThreadPoolExecutor(3) as threads:
+        for name, executor in dict(processes=processes, threads=threads).items():
+            table = rhec.campaign(scenarios, tmp_path / name, executor)
+            assert_equal_rows(table, here)
+            assert_equal_rows(rhec.campaign(scenarios, tmp_path / name), here)
+        assert threads.submit(int).result() == 0  # it is still the caller's
+
+
+def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
+    """A pool of the standard library starts no other process; what is done is kept."""
+    track = rhec.Path.racetrack(30.0, 7.8)
+    lethal = dataclasses.replace(
+        SHORT, path=Lethal(track.segments, track.length_m, True, home=os.getpid())
+    )
+    context = multiprocessing.get_context("spawn")
+    sentence = "ProcessPoolExecutor died, .* new executor"
+    with (
+        concurrent.futures.ProcessPoolExecutor(1, context) as pool,
+        pytest.raises(RuntimeError, match=sentence),
+    ):
+        rhec.campaign([*short(2), lethal], tmp_path, pool)
+
+
+def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):
+    class Waiting(concurrent.futures.Executor):
+        """It finishes its first task only."""
+
+        def __init__(self):
+            self.futures = []
+
+        def submit(self, function, task):
+            self.futures.append(concurrent.futures.Future())
+            if len(self.futures) == 1:
+                self.futures[0].set_result(function(task))
+            return self.futures[-1]
+
+    def interrupt(self, new_rows):
+        raise KeyboardInterrupt
+
+    waiting = Waiting()
+    monkeypatch.setattr(store.Rows, "add", interrupt)
+    with pytest.raises(KeyboardInterrupt, match="interrupted after 0 of 80 runs"):
+        rhec.campaign(short(80), workers=waiting)
+    assert len(waiting.futures) > 2 and all(each.cancelled() for each in waiting.futures[1:])
+
+
+@pytest.mark.parametrize("name", [*store.provenance()])
+def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatch, name):
+    """The sentence says what to do; for processors, to keep them apart."""
+    monkeypatch.setattr(store, "provenance", lambda: {name: "another"})
+    sentence = f"has {name} .*, but the caller has another, so their results may differ; "
+    remedies = {"C compiler": "CC should"} | dict.fromkeys(
+        ["machine", "C library", "vector instructions"], "start the campaign and its workers on"
+    )
+    with pytest.raises(RuntimeError, match=sentence + remedies.get(name, "install the same")):
+        rhec.campaign(short(), workers=processes)
+
+
+def test_without_locks_that_processes_share_a_campaign_stays_here(monkeypatch):
+    """As where /dev/shm is read-only."""
+
+    def refused():
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(multiprocessing, "Lock", refused)
+    assert workers.get_workers(None, large=True) is None
+    with pytest.raises(OSError, match=r"workers=2 needs locks .*Read-only.*; workers=1 needs none"):
+        rhec.campaign(short(), workers=2)
 
 
 # Without what is optional

@@ -9,6 +9,7 @@ from helpers import SIMPLE_WORLD
 from oracles import flat
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot import terrain
@@ -18,7 +19,7 @@ COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m
     curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 MEASURED = ["x_meas_m", "y_meas_m"]
-MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=60.0)
+MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=60.0)
 
 
 def simulated(**changes):
@@ -54,7 +55,7 @@ def test_a_seed_changes_terrain_and_noise(run):
 
 
 def test_estimators_compared_at_one_seed_see_the_same_terrain_and_noise(run):
-    for estimator in ("ekf", "oracle", "traction_oracle"):
+    for estimator in ("ekf", "oracle", RIVALS["traction_oracle"]):
         other = simulated(estimator=estimator)
         np.testing.assert_array_equal(other.terrain.mu, run.terrain.mu)
         np.testing.assert_array_equal(other.terrain.kappa, run.terrain.kappa)
@@ -229,7 +230,7 @@ def test_the_oracles_know_what_they_say():
     log = simulated(estimator="oracle").log
     true = ["x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa"]
     np.testing.assert_array_equal(log[ESTIMATE], log[true])
-    log = simulated(estimator="traction_oracle").log
+    log = simulated(estimator=RIVALS["traction_oracle"]).log
     np.testing.assert_array_equal(log[["mu_hat", "kappa_hat"]], log[["mu", "kappa"]])
     assert np.all(simulated(estimator="ekf").log[["mu_hat", "kappa_hat"]] == 1)
 

@@ -41,10 +41,11 @@ def test_each_column_is_documented(run):
 
 def test_a_run_has_the_columns_that_the_page_says(run):
     described = documented("A run").keys()
-    sensors = {*columns.SENSORS.values()}
-    assert {*run.log.columns} | sensors == described and not sensors & {*run.log.columns}
-    both = rhec.simulate(rhec.Scenario(sensors=(*columns.SENSORS,), duration_s=1.0))
-    assert {*both.log.columns} == described
+    options = {*columns.SENSORS.values(), columns.YAW_DRIFT_HAT}
+    assert {*run.log.columns} | options == described and not options & {*run.log.columns}
+    fields = dict(sensors=(*columns.SENSORS,), yaw_drift=True)
+    everything = rhec.simulate(rhec.Scenario(**fields, duration_s=1.0))
+    assert {*everything.log.columns} == described
 
 
 def test_a_run_has_its_columns_in_this_order(run):

@@ -11,12 +11,13 @@ import pytest
 from helpers import own_controller
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper, style
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 
-PLAIN = rhec.Scenario(estimator="ekf", process_noise="likelihood", duration_s=20.0)
+PLAIN = rhec.Scenario(estimator="ekf", process_noise="prediction", duration_s=20.0)
 OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
 NAMED = {"allow_duplicate_io_names": True}
 
@@ -34,7 +35,7 @@ COMMAND = dict(command=(1, 1))
 # In the loop
 
 
-@pytest.mark.parametrize("estimator", ["oracle", "ekf", "yaw_drift_ekf"])
+@pytest.mark.parametrize("estimator", ["oracle", "ekf", RIVALS["yaw_drift_ekf"]], ids=str)
 def test_ten_lines_steer_the_robot_to_its_path(estimator):
     log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=50.0)).log
     assert log["ok"].all() and (log["kkt_rhc"] == 0).all()
@@ -45,10 +46,10 @@ def test_ten_lines_steer_the_robot_to_its_path(estimator):
 def test_it_is_told_what_is_promised_and_remembers():
     """A step that checks its inputs against the settings, and counts the samples."""
     names = "memory s_0 x_ref u_ref lower upper Q QN R s covariance segments period_m speed_mps"
-    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 4), 1, 1, 1]
+    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 12), 1, 1, 1]
     names = [*names.split(), "disturbance"]
     given = {name: ca.SX.sym(name, *np.atleast_1d(size)) for name, size in zip(names, shapes)}
-    path = rhec.Path.racetrack(PLAIN.row_length_m, PLAIN.headland_radius_m)
+    path = rhec.Path.rows(PLAIN.row_length_m, PLAIN.headland_radius_m)
     expected = dict(lower=-0.1, upper=0.1, Q=PLAIN.q, QN=10 * np.array(PLAIN.q), R=PLAIN.r)
     expected |= dict(segments=path.segments.T, period_m=path.length_m, speed_mps=-0.5)
     wrong = sum(ca.sumsqr(given[name] - ca.DM(value)) for name, value in expected.items())
@@ -82,7 +83,7 @@ def test_the_loop_cancels_the_yaw_drift_for_a_step_that_does_not_take_it():
     for name, command in laws.items():
         taken = {key: each for key, each in given.items() if name != "plain" or key == "upper"}
         step = ca.Function(name, [*taken.values()], [command], [*taken], ["command"])
-        drifting = dict(estimator="yaw_drift_ekf", controller=rhec.Controller(step))
+        drifting = dict(estimator=RIVALS["yaw_drift_ekf"], controller=rhec.Controller(step))
         runs[name] = rhec.simulate(dataclasses.replace(PLAIN, **drifting)).log
     pd.testing.assert_frame_equal(runs["plain"], runs["cancels"])
     assert runs["plain"]["omega_cmd_radps"].nunique() > 50

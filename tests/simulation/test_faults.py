@@ -24,7 +24,7 @@ Z = np.column_stack(
     [0.1 * T, 3 - T**2, 0.5 + 0.01 * T, 0.1 * np.sin(T)]
 )  # smooth, and no two samples alike
 DURING = slice(50, 60)  # 10 s ≤ t < 12 s
-SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="likelihood", duration_s=30.0)
+SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=30.0)
 
 
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):

@@ -11,6 +11,7 @@ from helpers import untraceable
 from loops import LOOPS, SMALL, unlike
 
 import rhec
+from notebooks.rivals import by_name
 from notebooks.studies import condensed
 from rhec.core import runner
 from rhec.core._casadi import compiled
@@ -80,7 +81,7 @@ def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, t
 def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
     for name, made in {"rhe": 5, "ekf": 2, "rhe_no_slip": 2}.items():
         texts.clear()
-        assert rows_of(tmp_path / name, estimator=name) is not None
+        assert rows_of(tmp_path / name, estimator=by_name(name)) is not None
         assert len(texts) == made
         assert sum("/* rhc_linearise:(" in text for text in texts) == (name == "rhe")
 
@@ -143,7 +144,7 @@ def test_runs_of_unlike_length_share_lanes(always, monkeypatch):
 def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
     """Few runs of other loops do not keep one loop from its lanes, nor does it give them theirs."""
     many = [dataclasses.replace(SMALL, seed=seed) for seed in range(30)]
-    few = [dataclasses.replace(SMALL, estimator=name) for name in ("ekf", "oracle", "rhe_no_slip")]
+    few = [dataclasses.replace(SMALL, estimator=name) for name in ("ekf", "oracle", "bounded_ekf")]
     plan = batch.Plan(dict(enumerate([*few, *many])))
     monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
     assert plan.mean_samples < batch._WORTH_COMPILING

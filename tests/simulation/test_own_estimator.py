@@ -9,9 +9,11 @@ import pytest
 from helpers import no_compiler
 
 import rhec
+from rhec.simulation.offline import run_estimator
 
 SHORT = rhec.Scenario(duration_s=10.0)
 ONE = (1, 1)
+NAMED = {"allow_duplicate_io_names": True}
 
 
 def step_of(inputs, results, name="mine"):
@@ -115,3 +117,59 @@ def test_what_is_no_estimator_is_refused_in_one_sentence(inputs, results, memory
     with pytest.raises(ValueError) as refused:
         rhec.Estimator(step_of(inputs, results), memory)
     assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+# W, what it is told, and a first memory of its own
+
+
+def filter_of_yaw_rates(**options):
+    """An estimator with W and one state: it takes the position as measured."""
+    names = dict(memory=1, z_N=4, V=4, W=1, mean_traction=2)
+    given = {name: ca.SX.sym(name, size) for name, size in names.items()}
+    variance = given["memory"] + given["W"]
+    estimate = ca.vertcat(given["z_N"][:2], 0, given["z_N"][2], given["mean_traction"])
+    results = dict(memory=variance, estimate=estimate, covariance=variance)
+    step = ca.Function(
+        "with_w", [*given.values()], [*results.values()], [*given], [*results], NAMED
+    )
+    first = ca.Function("first", [ca.SX.sym("guess", 6)], [0], ["guess"], ["memory"])
+    return rhec.Estimator(step, first=first, states=("yaw",), **options)
+
+
+def test_its_w_is_the_scenarios_or_that_of_a_rule_that_it_brings():
+    own = filter_of_yaw_rates(noises=dict(prediction=((0.1,), None), printed=((0.3,), None)))
+    for fields, sigma in (
+        ({}, 0.1),
+        (dict(process_noise="printed"), 0.3),
+        (dict(sigma_w=(2.0,)), 2.0),
+    ):
+        run = rhec.simulate(dataclasses.replace(SHORT, estimator=own, **fields))
+        variances = run_estimator(run.scenario, run, "covariance")["covariance"]
+        np.testing.assert_allclose(variances.ravel()[:3], sigma**2 * np.array([1, 2, 3]))
+        np.testing.assert_allclose(
+            run.log[["mu_hat", "kappa_hat"]], [run.terrain.mean] * len(run.log)
+        )
+    assert pickle.loads(pickle.dumps(own)) == own != filter_of_yaw_rates()
+
+
+def test_a_w_that_nobody_gives_is_asked_for():
+    with pytest.raises(
+        ValueError, match="^sigma_w was None for the estimator .*should have 1 entr"
+    ):
+        rhec.Scenario(estimator=filter_of_yaw_rates())
+    with pytest.raises(ValueError, match="^process_noise was 'tracking'; for the estimator"):
+        own = filter_of_yaw_rates(noises=dict(prediction=((0.1,), None)))
+        rhec.Scenario(estimator=own, process_noise="tracking")
+
+
+def test_what_it_brings_has_to_fit():
+    with pytest.raises(ValueError, match="^states was .*it should have 1 names"):
+        dataclasses.replace(filter_of_yaw_rates(), states=("x", "y"))
+    with pytest.raises(ValueError, match="^sigma_w of 'printed' was .*it should have 1 entries"):
+        filter_of_yaw_rates(noises=dict(printed=((0.1, 0.2), None)))
+    with pytest.raises(ValueError, match="^first returned"):
+        dataclasses.replace(
+            filter_of_yaw_rates(),
+            memory=(),
+            first=ca.Function("f", [ca.SX.sym("guess", 6)], [ca.SX(2, 1)], ["guess"], ["memory"]),
+        )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
@@ -81,7 +82,6 @@ OUT_OF_RANGE = [
     ("input_reference", None),
     ("gyro_scale", -1.0),
     ("gyro_sigma_radps", -0.1),
-    ("side_slip_time_s", 0.0),
 ]
 DEAD_GYRO = (rhec.Fault(kind="dead", channel="gyro"),)
 SENTENCES = [
@@ -89,6 +89,7 @@ SENTENCES = [
     (dict(q=(1, 1)), "q was (1, 1); it should have 3 entries"),
     (dict(q=(1, 1, -1)), "q[2] was -1; it should be at least 0"),
     (dict(sensors=("gyro",), estimator="ekf"), "sensors was"),
+    (dict(sensors=("gyro", "gyro")), "it should name each sensor once"),
     (dict(sensors=("heading",), faults=DEAD_GYRO), "with a gyro that fails"),
     (dict(faults=DEAD_GYRO), "sensors should have 'gyro', too"),
 ]
@@ -219,7 +220,7 @@ def test_sigma_w_has_an_entry_for_each_state_of_the_estimator():
         ("rhe", "parameter", 6),
         ("rhe", "input", 5),
         ("ekf", "parameter", 4),
-        ("traction_oracle", "input", 4),
+        (RIVALS["traction_oracle"], "input", 4),
     ):
         rhec.Scenario(estimator=estimator, speed_model=speed_model, sigma_w=(0.1,) * entries)
         assert f"it should have {entries} entries" in refusal(
@@ -234,14 +235,15 @@ def sigma_v_and_w(**fields):
     return tuple(tuple(np.sqrt(settings[name]).round(12)) for name in "VW")
 
 
-def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
+def test_by_default_one_rule_picks_the_noise_of_both():
     printed = {
         name: sigma_v_and_w(estimator=name, process_noise="printed") for name in ("rhe", "ekf")
     }
-    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE) == sigma_v_and_w()
+    assert printed["rhe"] == (paper.SIGMA_V, paper.SIGMA_W_RHE)
     assert printed["ekf"] == (paper.SIGMA_V, paper.SIGMA_W_EKF)
-    likeliest = sigma_v_and_w(estimator="ekf", process_noise="likelihood")
-    assert likeliest == sigma_v_and_w(estimator="ekf") != printed["ekf"]
+    for name in ("rhe", "ekf"):
+        predicting = sigma_v_and_w(estimator=name, process_noise="prediction")
+        assert predicting == sigma_v_and_w(estimator=name) != printed[name]
     # Another estimator brings its own default.
     scenario = dataclasses.replace(rhec.Scenario(), estimator="ekf")
     assert scenario == rhec.Scenario(estimator="ekf")
@@ -250,15 +252,15 @@ def test_by_default_the_rhe_is_the_papers_and_the_ekf_keeps_its_heading():
 def test_consistent_process_noise_brings_sigma_v_unless_that_is_given():
     sigma_v, sigma_w = sigma_v_and_w(process_noise="consistent")
     assert sigma_v[3] > paper.SIGMA_V[3]
-    assert sigma_w == tuning.SIGMA_W["rhe"]["consistent"]
+    assert sigma_w == tuning.NOISES["rhe"]["consistent"].sigma_w
     own = dict(sigma_v=(0.1, 0.2, 0.3, 0.4), sigma_w=(0.5,) * 6)
     assert sigma_v_and_w(process_noise="consistent", **own) == tuple(own.values())
 
 
 def test_a_process_noise_that_an_estimator_has_not_is_refused():
-    assert refusal(estimator="traction_oracle", process_noise="printed") == (
-        "process_noise was 'printed'; for the estimator 'traction_oracle' it should be None or one "
-        "of ('likelihood',)"
+    assert refusal(estimator="bounded_ekf", process_noise="soft_soil") == (
+        "process_noise was 'soft_soil'; for the estimator 'bounded_ekf' it should be None or one "
+        "of ('printed', 'consistent', 'prediction', 'tracking')"
     )
 
 

@@ -8,6 +8,8 @@ import pytest
 import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.tracked_robot.plant import draw_noise
+from rhec.tracked_robot.plant_options import GYRO_NOISE, HEADING_NOISE
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 BOTH = ("gyro", "heading")
@@ -53,13 +55,13 @@ def test_a_heading_is_measured_up_to_full_turns():
 def test_other_random_streams_stay_as_they_are():
     """The robot of an oracle drives the same path, and the noise of a seed begins the same."""
     plain = closed_loop.noise_and_faults(5, (), 50)
-    gyro, both, slip = ("gyro_noise",), ("gyro_noise", "heading_noise"), ("side_slip_noise",)
-    for others in ((), gyro, both, slip, (*both, *slip)):
-        longer = closed_loop.noise_and_faults(5, (), 60, ("noise", *others))
+    gyro, both = (GYRO_NOISE,), (GYRO_NOISE, HEADING_NOISE)
+    for others in ((), gyro, both):
+        longer = closed_loop.noise_and_faults(5, (), 60, (draw_noise, *others))
         np.testing.assert_array_equal(longer[:50, : plain.shape[1]], plain)
     # A gyro's noise is the same with and without a heading.
     alone, first = (
-        closed_loop.noise_and_faults(5, (), 50, ("noise", *others))[:, plain.shape[1]]
+        closed_loop.noise_and_faults(5, (), 50, (draw_noise, *others))[:, plain.shape[1]]
         for others in (gyro, both)
     )
     np.testing.assert_array_equal(alone, first)
@@ -141,18 +143,3 @@ def test_a_run_is_a_log_for_replay_and_its_sensors_are_checked_there():
     ):
         with pytest.raises(ValueError, match=words):
             rhec.replay(log.assign(**{name: -log[name]}))
-
-
-def test_side_slip_turns_the_course_and_not_the_yaw():
-    run = rhec.simulate(
-        rhec.Scenario(estimator="oracle", side_slip_rad=0.3, side_slip_time_s=1.5, duration_s=240.0)
-    )
-    way = np.diff(run.log[["x_m", "y_m"]], axis=0)
-    slip = np.arctan2(*way.T[::-1]) - run.log["theta_rad"][:-1]
-    slip = (slip + np.pi) % (2 * np.pi) - np.pi
-    # 240 s are 80 independent angles or so: their deviation is known to 8 %.
-    assert slip.std() == pytest.approx(0.3, rel=0.25)
-    lag = round(1.5 / paper.DT_S)
-    correlation = np.corrcoef(slip[lag:], slip[:-lag])[0, 1]
-    # e^(-lag Δt/T), with Δt = 0.2 s.
-    assert correlation == pytest.approx(np.exp(-lag * paper.DT_S / 1.5), abs=0.15)

@@ -1,14 +1,10 @@
-"""Interpretations G15 and G16: when ν̂, μ̂ and κ̂ reach the controller, and which interval a
-measured yaw rate belongs to.
-"""
+"""Interpretation G15: when ν̂, μ̂ and κ̂ reach the controller."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import rhec
-from rhec.simulation.columns import ESTIMATE
-from rhec.simulation.offline import run_estimator
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 TIMINGS = ("feedback", "sample_before", "prepared_anew")
@@ -53,31 +49,14 @@ def test_the_sample_before_is_an_estimator_that_tells_them_a_sample_later():
         assert np.abs(other - before).max() > 1e-4, timing
 
 
-def test_a_yaw_rate_of_the_next_interval_reaches_the_estimator_a_sample_later():
-    """The oracle needs no measurement, so that both runs are one, but for what is measured."""
-    name = "omega_meas_radps"
-    before, after = (
-        log_of(estimator="oracle", yaw_rate_interval=each) for each in ("before", "after")
-    )
-    assert after[name][0] == 0 and np.array_equal(after[name][1:], before[name][:-1])
-    others = [column for column in before if column != name]
-    np.testing.assert_array_equal(*(log[others].to_numpy(dtype=float) for log in (after, before)))
-
-
-def test_the_estimator_gets_what_the_log_holds():
-    run = rhec.simulate(rhec.Scenario(duration_s=20.0, yaw_rate_interval="after"))
-    estimate = run_estimator(run.scenario, run, "estimate")["estimate"]
-    np.testing.assert_allclose(estimate, run.log[ESTIMATE], atol=1e-9)
-
-
 @pytest.mark.parametrize("choice", [dict(traction_timing="prepared_anew"), {}])
 def test_a_missing_yaw_rate_is_the_last_command(choice):
     fault = rhec.Fault(kind="missing", start_s=5.0, duration_s=3.0, channel="all")
-    log = log_of(yaw_rate_interval="after", faults=(fault,), **choice)
+    log = log_of(faults=(fault,), **choice)
     assert np.isfinite(log[[COMMAND, "x_hat_m", "kappa_hat"]]).all(axis=None)
     assert log["ok"].all()
 
 
 def test_an_export_refuses_what_it_does_not_do(tmp_path):
-    with pytest.raises(ValueError, match="^yaw_rate_interval was 'after'; to export, it should be"):
-        rhec.export(rhec.Scenario(yaw_rate_interval="after"), tmp_path)
+    with pytest.raises(ValueError, match="^traction_timing was 'sample_before'; to export"):
+        rhec.export(rhec.Scenario(traction_timing="sample_before"), tmp_path)

@@ -46,7 +46,8 @@ def test_wet_patches_lie_where_the_path_turns_and_on_a_row():
 
 def test_runs_of_the_simple_world_are_what_they_are():
     """Poses after 20 s and 59.8 s, as they were recorded."""
-    scenario = rhec.Scenario(**SIMPLE_WORLD, arrival_mean="smoothed", duration_s=60.0)
+    of_rhe = dict(process_noise="printed", arrival_mean="smoothed")
+    scenario = rhec.Scenario(**SIMPLE_WORLD, **of_rhe, turns="left", duration_s=60.0)
     log = rhec.simulate(scenario).log
     poses = [
         [9.057221325003816, 0.04861727825686246, 0.020332184396793324],

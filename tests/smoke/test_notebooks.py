@@ -37,17 +37,18 @@ SMALL = {
     ),
     "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
     "08_interpretations": Small(
-        dict(seeds=2, paired_seeds=4, training_seeds=1), ("audit_interpretations",)
+        dict(seeds=2, paired_seeds=4, order_fields=4, training_seeds=1),
+        ("audit_interpretations", "audit_order"),
     ),
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=4, consistency_runs=4),
+        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=4, consistency_runs=4)
+        | dict(unknown_fields=2, unknown_training=1, posterior_worlds=2),
         ("table_traction_worth", "table_consistency"),
     ),
-    "further/tolerance": Small(dict(fields=2), ("table_tolerance",)),
     "01_tutorial": Small(dict(seeds=2)),
-    "04_scenario_b": Small(dict(seeds=8, fields=4), ("table_scenario_b",)),
+    "04_scenario_b": Small(dict(seeds=8, beside=4, fields=4), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=4), ("table_scenario_a",)),
     "07_which_worlds": Small(
         dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from typing import get_args
 
 import casadi as ca
 import numpy as np
@@ -10,10 +11,12 @@ from oracles import flat
 
 import rhec
 from rhec.tracked_robot import references as refs
+from rhec.tracked_robot.path import Turns
 
 RACETRACK = rhec.Path.racetrack(30.0, 7.8)
-PATHS = {
-    "racetrack": RACETRACK,
+PATTERNS = get_args(Turns)
+PATHS = {turns: rhec.Path.rows(30.0, 7.8, turns) for turns in PATTERNS}
+PATHS |= {
     "open": rhec.Path.from_segments(
         [(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (2.0, 0.0)], start=(1.0, 2.0, 0.7)
     ),
@@ -23,6 +26,10 @@ PATHS = {
     "more than half a turn": rhec.Path.from_segments([(10.0, 0.5)]),
 }
 every_path = pytest.mark.parametrize("name", PATHS)
+# Where a path crosses itself the closest point may be on either part.
+every_path_that_is_not_crossed = pytest.mark.parametrize(
+    "name", [name for name in PATHS if name != "figure_of_eight"]
+)
 HORIZON = 15
 
 
@@ -52,6 +59,42 @@ def test_position_and_yaw_are_continuous(name):
     before, after = path.poses(joints - d)[0], path.poses(joints + d)[0]
     np.testing.assert_allclose(before[:, :2], after[:, :2], atol=1e-6)
     np.testing.assert_allclose(np.exp(1j * before[:, 2]), np.exp(1j * after[:, 2]), atol=1e-6)
+
+
+def mirrored(path):
+    """The path in a mirror along the x axis."""
+    s, x, y, theta, c = path.segments.T
+    return rhec.Path(np.column_stack([s, x, -y, -theta, -c]), path.length_m, path.closed)
+
+
+def test_to_the_right_is_to_the_left_in_a_mirror():
+    left = mirrored(rhec.Path.rows(12.0, 4.0, "left"))
+    np.testing.assert_allclose(rhec.Path.rows(12.0, 4.0, "right").segments, left.segments)
+
+
+@pytest.mark.parametrize("turns", PATTERNS)
+def test_a_path_turns_to_the_sides_that_it_says(turns):
+    path = PATHS[turns]
+    sides = np.sign(path.segments[:, 4])
+    driven = list(sides[(sides != 0) & (path.segments[:, 0] < 140.0)])  # 300 s at 0.5 m/s and more
+    expected = dict(alternate=[1, -1, 1], left=[1, 1], right=[-1, -1], figure_of_eight=[1, -1])[
+        turns
+    ]
+    assert driven == expected
+    assert path.closed and path.segments[0].tolist() == [0, 0, 0, 0, 0]
+    straight = np.diff([*path.segments[:, 0], path.length_m])[path.segments[:, 4] == 0]
+    np.testing.assert_allclose(straight[:2], 30.0)
+
+
+def test_no_two_parts_of_the_alternating_path_touch():
+    """So that the closest point is never on another part than the one that is driven."""
+    path = PATHS["alternate"]
+    s = np.arange(0, path.length_m, 0.1)
+    xy = path.poses(s)[0][:, :2]
+    apart = np.abs(s[:, None] - s)
+    apart = np.minimum(apart, path.length_m - apart)
+    distance = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1))
+    assert distance[apart > 3.0].min() > 1.9
 
 
 @every_path
@@ -85,7 +128,7 @@ def test_the_projection_is_the_closest_of_finely_sampled_points(name):
     )
 
 
-@every_path
+@every_path_that_is_not_crossed
 def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
     path = PATHS[name]
     s = np.linspace(0.1, path.length_m - 0.1, 41)
@@ -98,7 +141,7 @@ def test_a_point_beside_the_path_projects_to_where_it_came_from(name):
         np.testing.assert_allclose(where, s, atol=1e-6)
 
 
-@every_path
+@every_path_that_is_not_crossed
 def test_the_loop_and_the_evaluation_see_the_same_path(name):
     """The references' closest point and poses are NumPy's `poses` and `project`."""
     path, s = PATHS[name], ca.SX.sym("s")

@@ -1,17 +1,21 @@
 """The yaw drift as one more state: a robot that turns on a straight, θ' = κω + μνδ."""
 
+import re
+
 import numpy as np
 import pytest
 from helpers import choice_of, weaving_yaw_rates, with_noise
 from oracles import DT, V, drive, flat
 
 import rhec
+from notebooks.rivals import RIVALS
+from rhec import paper
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.tracked_robot import yaw_disturbance
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 
 HORIZON = 8
 TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))
@@ -30,13 +34,16 @@ def drifting_drive(omegas, delta):
     return truth, z
 
 
-def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=()):
+def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=(), yaw_drift=False):
     """Estimates (n, 6), and yaw drifts (n,) where the estimator has them."""
-    choice = choice_of(name, HORIZON, arrival_mean="filtered")
+    choice = choice_of(name, HORIZON, arrival_mean="filtered")._replace(yaw_drift=yaw_drift)
     step = build_step(choice)
     given = () if sigma is None else (sigma,)
     memory = pack_array(estimator_of(name).init(choice, TRUTH, *given))
     settings = dict(V=V, W=np.square(sigma_w))
+    if name == "rhe":
+        settings |= dict(P_0=np.ones(len(sigma_w)), m_0=np.zeros(len(sigma_w)))
+        settings = {key: settings[key] for key in step.name_in() if key in settings}
     found, drifts = [], []
     for reading in z:
         result = step(memory=memory, z_N=reading, **settings, **dict(traction))
@@ -46,28 +53,40 @@ def estimates(name, z, sigma_w=SIGMA_W, sigma=None, traction=()):
     return np.array(found), np.array(drifts)
 
 
+# Estimators of the yaw drift, and what each is without it.
+WITH_AND_WITHOUT = {
+    "yaw_drift_ekf": (dict(name=RIVALS["yaw_drift_ekf"]), dict(name="bounded_ekf")),
+    "rhe": (dict(name="rhe", yaw_drift=True), dict(name="rhe")),
+}
+
+
+@pytest.mark.parametrize("name", WITH_AND_WITHOUT)
 @pytest.mark.parametrize("delta", [0.05, -0.1])
-def test_a_constant_drift_is_found(delta):
+def test_a_constant_drift_is_found(name, delta):
     truth, z = drifting_drive(weaving_yaw_rates(300), delta)
-    found, drifts = estimates("yaw_drift_ekf", with_noise(z, 0, 0.1))
+    drifting, _ = WITH_AND_WITHOUT[name]
+    found, drifts = estimates(z=with_noise(z, 0, 0.1), **drifting)
     assert drifts[-50:].mean() == pytest.approx(delta, abs=0.01)
     assert np.abs(found - truth)[-50:, 2].max() < 0.03
 
 
-def test_without_uncertainty_of_the_drift_it_is_the_estimator_without():
-    """A drift known to be 0 changes nothing: to rounding, it is the bounded EKF."""
+@pytest.mark.parametrize("name", WITH_AND_WITHOUT)
+def test_without_uncertainty_of_the_drift_it_is_the_estimator_without(name):
+    """A drift known to be 0 changes nothing, to rounding."""
     _, z = drifting_drive(weaving_yaw_rates(60), 0.0)
     z = with_noise(z)
     known = dict.fromkeys(QUANTITIES, 0.1) | dict(yaw_drift_radpm=1e-9)
-    found, drifts = estimates("yaw_drift_ekf", z, (*SIGMA_W[:6], 0.0), known)
-    expected, _ = estimates("bounded_ekf", z, SIGMA_W[:6], known)
+    drifting, plain = WITH_AND_WITHOUT[name]
+    found, drifts = estimates(z=z, sigma_w=(*SIGMA_W[:6], 0.0), sigma=known, **drifting)
+    known.pop("yaw_drift_radpm")
+    expected, _ = estimates(z=z, sigma_w=SIGMA_W[:6], sigma=known, **plain)
     np.testing.assert_allclose(found, expected, atol=1e-7)
     np.testing.assert_allclose(drifts, 0, atol=1e-7)
 
 
 def test_traction_stays_within_its_bounds():
     _, z = drive((0, 0, 0, 0.5, 1.15, 1.2), weaving_yaw_rates(80))
-    found, _ = estimates("yaw_drift_ekf", with_noise(z, 1))
+    found, _ = estimates(RIVALS["yaw_drift_ekf"], with_noise(z, 1))
     assert ((found[:, 4:] >= 0) & (found[:, 4:] <= 1)).all()
     assert (found[:, 4:] == 1).any()
 
@@ -77,10 +96,13 @@ def test_the_oracle_is_passed_the_drift():
     truth, z = drifting_drive(weaving_yaw_rates(60), 0.1)
     traction = [TRUTH["mu"], TRUTH["kappa"]]
     knowing, drifts = estimates(
-        "drift_oracle", z, SIGMA_W[:4], traction=dict(traction=[*traction, 0.1]).items()
+        RIVALS["drift_oracle"],
+        z,
+        SIGMA_W[:4],
+        traction=dict(traction=traction, yaw_drift=0.1).items(),
     )
     other, _ = estimates(
-        "traction_oracle", z, SIGMA_W[:4], traction=dict(traction=traction).items()
+        RIVALS["traction_oracle"], z, SIGMA_W[:4], traction=dict(traction=traction).items()
     )
     np.testing.assert_allclose(knowing, truth, atol=1e-5)
     assert (drifts == 0.1).all()
@@ -92,7 +114,7 @@ def test_the_oracle_is_passed_the_drift():
 
 def test_a_known_disturbance_moves_the_command_and_its_bounds():
     """The compensated RHC commands what an RHC that plans with it would, less the disturbance."""
-    horizon = horizon_of(HORIZON)
+    horizon = stages_of(HORIZON)
     plain = rhc.build_phases(horizon)["step"]
     move, take_off = yaw_disturbance.moved_bounds(), yaw_disturbance.taken_off()
     pose, p = np.array([0.0, 0.05, 0.0]), np.array([0.5, 0.9, 0.8])
@@ -125,11 +147,110 @@ SLIPPING_ASIDE = dict(
     gnss_sigma_m=0.003,
     bump_sigma_radps=0.0,
     start_offset_m=0.2,
-    process_noise="likelihood",
+    process_noise="prediction",
     seed=1,
 )
 
 
 def test_the_controller_cancels_the_drift():
     """A standing offset to the path without it is gone with it."""
-    assert mean_error_m(estimator="yaw_drift_ekf") < 0.25 * mean_error_m(estimator="bounded_ekf")
+    drifting = mean_error_m(estimator=RIVALS["yaw_drift_ekf"])
+    assert drifting < 0.4 * mean_error_m(estimator="bounded_ekf")
+
+
+@pytest.mark.parametrize(
+    "fields", [{}, dict(speed_model="input"), dict(sensors=("gyro",))], ids=str
+)
+def test_the_rhe_without_a_standing_offset(fields):
+    """The RHE as well, with either speed model and beside a gyro."""
+    assert mean_error_m(yaw_drift=True, **fields) < 0.4 * mean_error_m()
+
+
+def test_an_rhe_without_slip_estimates_it_as_well():
+    drifting = mean_error_m(estimator=RIVALS["rhe_no_slip_yaw_drift"])
+    assert drifting < 0.4 * mean_error_m(estimator=RIVALS["rhe_no_slip"])
+
+
+@pytest.mark.parametrize("d", [-0.02, 0.02])
+def test_the_rhe_finds_the_drift_that_the_soil_has(d):
+    """δ = (μ_r - μ_l) / (b μ), with μ_l = μ (1 - d/2) and μ_r = μ (1 + d/2): δ = d / b."""
+    fields = SLIPPING_ASIDE | dict(slip_difference=d, yaw_drift=True, duration_s=120.0)
+    scenario = rhec.Scenario(**fields)
+    log = rhec.simulate(scenario).log.tail(300)
+    expected = d / scenario.track_width_m
+    assert log["yaw_drift_radpm"].mean() == pytest.approx(expected, rel=1e-9)
+    assert log["yaw_drift_hat_radpm"].mean() == pytest.approx(expected, abs=0.1 * abs(expected))
+
+
+# As objects
+
+
+def answers(z, speed_model, sensors):
+    """Estimates (n, 7) of the paper's robot, the last one of the yaw drift, and commands (n,)."""
+    path = rhec.Path.from_segments([(50.0, 0.0)])
+    mhe = rhec.RHE(horizon=5, yaw_drift=True, speed_model=speed_model, sensors=sensors)
+    mpc = rhec.RHC(horizon=5)
+    tracker = rhec.PathTracker(path, 5)
+    rows = []
+    for row in z:
+        estimate = mhe.step(row)
+        d = mpc.disturbance(estimate)
+        references = tracker.references(estimate, row[3] + d)
+        mpc.prepare()
+        command = mpc.feedback(estimate.pose, estimate.p, *references, disturbance=d)
+        assert abs(command) <= paper.OMEGA_MAX_RADPS + 1e-12
+        rows.append([*estimate[:6], estimate.yaw_drift, command])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("speed_model", ["parameter", "input"])
+@pytest.mark.parametrize("sensors", [(), ("gyro",)])
+def test_in_a_mirror_the_drift_turns_the_other_way(speed_model, sensors):
+    _, z = drifting_drive(weaving_yaw_rates(60), 0.05)
+    z = with_noise(z)
+    z[:, 1] -= 2.0
+    if sensors:
+        z = np.column_stack([z, TRUTH["kappa"] * z[:, 3] + 0.02])
+    mirror = np.array([1, -1, 1, -1, -1])[: z.shape[1]]
+    found = answers(z, speed_model, sensors)
+    mirrored = answers(z * mirror, speed_model, sensors)
+    np.testing.assert_allclose(mirrored, found * [1, -1, -1, 1, 1, 1, -1, -1], atol=1e-9)
+    assert np.abs(found[20:, 6]).min() > 0
+
+
+def test_without_the_yaw_drift_there_is_no_disturbance():
+    estimate = rhec.RHE(horizon=2).step((0.0, 0.0, 0.5, 0.0))
+    assert estimate.yaw_drift is None
+    assert rhec.RHC(horizon=2).disturbance(estimate) == 0.0
+    assert "yaw_drift" not in repr(estimate)
+
+
+def test_the_estimate_shows_its_drift():
+    shown = repr(rhec.RHE(horizon=2, yaw_drift=True).step((0.0, 0.0, 0.5, 0.0)))
+    assert re.search(r"kappa: 1 ± 0.25\n    yaw_drift_radpm: 0 ± 0.05$", shown), shown
+
+
+@pytest.mark.parametrize("made", [rhec.RHE, rhec.Scenario])
+def test_tracks_that_slip_have_no_yaw_drift(made):
+    expected = "^speed_model was 'slipping'; with yaw_drift it should be one of"
+    with pytest.raises(ValueError, match=expected):
+        made(yaw_drift=True, speed_model="slipping")
+
+
+def test_only_an_rhe_has_the_option():
+    with pytest.raises(ValueError, match="^yaw_drift was True; for the estimator 'ekf' it should"):
+        rhec.Scenario(yaw_drift=True, estimator="ekf")
+
+
+# In a replay
+
+
+def test_a_replay_has_the_drift_and_its_deviation():
+    run = rhec.simulate(rhec.Scenario(**SLIPPING_ASIDE | dict(yaw_drift=True)))
+    how = dict(speed_model="input", yaw_drift=True, process_noise="prediction", first_yaw_rad=0.0)
+    replayed = rhec.replay(run.log, **how).tail(50)
+    expected = run.log["yaw_drift_radpm"].mean()
+    assert replayed["yaw_drift_hat_radpm"].mean() == pytest.approx(expected, abs=0.01)
+    assert (replayed["sigma_yaw_drift_radpm"] < 0.02).all()
+    smoothed = rhec.replay(run.log, smooth=True, **how)
+    assert smoothed["yaw_drift_hat_radpm"].mean() == pytest.approx(expected, abs=0.01)

@@ -146,13 +146,13 @@ def controller(scenario, caution=0.25):
     path = path_of(scenario)
     structure = (
         estimator_of(choice.estimator).states(choice),
-        estimator_of(choice.estimator).has_yaw_drift,
+        estimator_of(choice.estimator).has_yaw_drift(choice),
         scenario.prediction_horizon,
         scenario.traction_timing,
         len(path.segments),
     )
     guess = first_guess(scenario, path)
-    plan = plan_init(rhc.horizon_of(scenario.prediction_horizon), guess[:3], guess[3:])
+    plan = plan_init(rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
     memory = (*pack_array(plan).tolist(), scenario.speed_mps)
     return _made(compiled.loop_symbols(), structure, caution, memory)
 

@@ -17,7 +17,7 @@ import rhec
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.controller import rhc
 from rhec.tracked_robot.references import LEAST_KAPPA
-from rhec.tracked_robot.rhc import horizon_of
+from rhec.tracked_robot.rhc import stages_of
 
 
 def controller(scenario):
@@ -28,15 +28,15 @@ def controller(scenario):
 @functools.cache
 def build_step(N):
     """The step of the controller, over N intervals."""
-    horizon = horizon_of(N)
-    phases = rhc.build_phases(horizon)
+    stages = stages_of(N)
+    phases = rhc.build_phases(stages)
 
-    @casadi_function("ltv_mpc_step", ca.MX, **horizon.weights, **horizon.references)
+    @casadi_function("ltv_mpc_step", ca.MX, **stages.weights, **stages.data)
     def step(**signals):
         x_ref = signals["x_ref"]
-        parameters = signals["s_0"][horizon.n_x :]
+        parameters = signals["s_0"][stages.n_x :]
         kappa = ca.fmax(parameters[2], LEAST_KAPPA)
-        omega = (x_ref[2, 1:] - x_ref[2, :-1]) / (kappa * horizon.dt_s)
+        omega = (x_ref[2, 1:] - x_ref[2, :-1]) / (kappa * stages.dt_s)
         u = ca.fmin(ca.fmax(omega, signals["lower"]), signals["upper"])
         s = ca.vertcat(x_ref, ca.repmat(parameters, 1, N + 1))
         values = signals | dict(s=s, u=u)

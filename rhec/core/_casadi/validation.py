@@ -84,6 +84,8 @@ _EXPECTED = {
 
 def _expected(error):
     """What a value should be, as a clause."""
+    if error["type"] == "value_error":  # a check of our own, which says so itself
+        return str(error["ctx"]["error"])
     if error["type"] not in _EXPECTED:
         return error["msg"].replace("Input", "it", 1)
     words = {

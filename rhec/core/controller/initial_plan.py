@@ -6,11 +6,11 @@ from rhec.core._casadi.validation import numbers, refuse
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 
-def checked_plan(horizon, u_plan, x_plan):
+def checked_plan(stages, u_plan, x_plan):
     """Check a plan that a user passes.
 
     Args:
-        horizon: The Horizon.
+        stages: The Stages.
         u_plan: (n_u, N) or (n_u,) inputs, or None.
         x_plan: (n_x, N+1) states, or None for those to which the inputs lead.
 
@@ -25,17 +25,17 @@ def checked_plan(horizon, u_plan, x_plan):
         if x_plan is not None:
             raise ValueError("u_plan was None; with x_plan it should be the inputs (n_u, N)")
         return None
-    u = _checked("u_plan", u_plan, (horizon.n_u, horizon.N))
+    u = _checked("u_plan", u_plan, (stages.n_u, stages.N))
     if x_plan is None:
         return u, None
-    return u, _checked("x_plan", x_plan, (horizon.n_x, horizon.N + 1))
+    return u, _checked("x_plan", x_plan, (stages.n_x, stages.N + 1))
 
 
-def planned_memory(horizon, plan, lower, upper, x, p):
-    """The first memory (s, u) of a Horizon that begins with a plan.
+def planned_memory(stages, plan, lower, upper, x, p):
+    """The first memory (s, u) of Stages that begins with a plan.
 
     Args:
-        horizon: The Horizon.
+        stages: The Stages.
         plan: That of `checked_plan`. Commands beyond a bound begin at it.
         lower: (n_c,) least commands.
         upper: (n_c,) greatest commands.
@@ -50,13 +50,13 @@ def planned_memory(horizon, plan, lower, upper, x, p):
     """
     u, nodes = plan
     u = u.copy()
-    commands = list(horizon.command)
+    commands = list(stages.command)
     u[commands] = np.clip(u[commands].T, lower, upper).T
     if nodes is None:
-        nodes = horizon.model.simulate(x, u.T, p, dt=horizon.dt_s).T
+        nodes = stages.model.simulate(x, u.T, p, dt=stages.dt_s).T
         _check_simulated(nodes, np.concatenate([x, p]))
-    s = np.tile([*x, *p], (horizon.N + 1, 1)).T
-    s[: horizon.n_x, 1:] = nodes[:, 1:]
+    s = np.tile([*x, *p], (stages.N + 1, 1)).T
+    s[: stages.n_x, 1:] = nodes[:, 1:]
     return dict(s=s, u=u)
 
 

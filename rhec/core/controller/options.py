@@ -7,10 +7,8 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.validation import numbers, of_length, refuse
-from rhec.core.controller import constrained
 from rhec.core.controller.bounds import NONE, bounds_of
-from rhec.core.controller.constrained import ConstrainedHorizon, Kind, Outputs, Row
-from rhec.core.controller.horizon import Horizon
+from rhec.core.controller.stages import Outputs, Stages, linearised_outputs
 from rhec.core.model.base import Model
 from rhec.core.model.expressions import expression_of
 from rhec.core.model.limits import MAX_QP_ENTRY
@@ -42,8 +40,7 @@ class Options(NamedTuple):
 class Problem(NamedTuple):
     """What an RHC solves."""
 
-    plain: Horizon
-    structure: Horizon | ConstrainedHorizon  # what is compiled
+    stages: Stages  # what is compiled
     settings: dict[str, np.ndarray]  # the numbers: weights, bounds and prices
 
 
@@ -62,27 +59,28 @@ def problem_of(options: Options) -> Problem:
     _check_command(options)
     model = options.model
     places = tuple(model.inputs.index(name) for name in options.command)
-    plain = Horizon(model, places, options.dt, options.horizon)
     outputs = _outputs_of(options)
     weights = _weights_of(options, outputs)
     bounds = _bounds_of(options, outputs)
-    _check_zeros(options, plain, outputs, weights)
-    diagonal = all(weights[name].ndim == 1 for name in ("Q", "QN", "R"))
-    on_commands = {*bounds["path"]} <= {*options.command} and not bounds["end"]
     has_changes = options.r_delta is not None or bool(bounds["change"])
-    if diagonal and on_commands and not outputs.names and not has_changes:
+    stages = Stages(
+        model, places, options.dt, options.horizon, outputs, has_changes=has_changes, damped=True
+    )
+    _check_zeros(options, stages, weights)
+    is_bounded = bool(bounds["end"]) or not {*bounds["path"]} <= {*options.command}
+    has_matrices = any(weight.ndim == 2 for weight in weights.values())
+    if is_bounded or has_matrices or has_changes or outputs.names:
+        weights = {name: w if w.ndim == 2 else np.diag(w) for name, w in weights.items()}
+        stages, bounds = _general(stages, bounds)
+    else:
+        stages = stages._replace(outputs=None)
         pairs = [bounds["path"].get(name, NONE) for name in options.command]
         lower, upper = np.clip([(b.lowest, b.highest) for b in pairs], *_LIMITS).T
-        settings = {name: weights[name] for name in ("Q", "QN", "R")}
-        damped = plain._replace(damped=True)
-        return Problem(damped, damped, settings | dict(lower=lower, upper=upper))
-    rows, numbers = _rows_of(options, outputs, bounds)
-    structure = ConstrainedHorizon(plain, outputs, rows, has_changes)
-    matrices = {
-        name: np.diag(weight) if weight.ndim == 1 else weight for name, weight in weights.items()
-    }
-    settings = {name: value for name, value in (matrices | numbers).items() if value.size}
-    return Problem(plain, structure, settings)
+        bounds = dict(lower=lower, upper=upper)
+    numbers = weights | bounds
+    wanted = stages.weights | stages.bounds
+    settings = {name: numbers[name] for name in numbers if name in wanted and numbers[name].size}
+    return Problem(stages, settings)
 
 
 _LIMITS = (-MAX_QP_ENTRY, MAX_QP_ENTRY)
@@ -168,7 +166,7 @@ def _weight(name, value, n, of):
     return weight
 
 
-def _check_zeros(options, plain, outputs, weights):
+def _check_zeros(options, stages, weights):
     """Refuse a command without a weight that nothing weighed depends on after one interval.
 
     The QP would have no unique solution at the last interval, whatever the state.
@@ -178,16 +176,16 @@ def _check_zeros(options, plain, outputs, weights):
         weight = weights[name]
         return weight if weight.ndim == 1 else np.diag(weight)
 
-    structure = ConstrainedHorizon(plain, outputs, (), False)
-    C = constrained.linearised_outputs(structure).sparsity_out("C")
-    through = constrained.linearised_outputs(structure).sparsity_out("E")
-    moved = plain.interval.sparsities["B"]
-    for i, (name, place) in enumerate(zip(options.command, plain.command)):
+    linearised = linearised_outputs(stages)
+    C = linearised.sparsity_out("C")
+    through = linearised.sparsity_out("E")
+    moved = stages.interval.sparsities["B"]
+    for i, (name, place) in enumerate(zip(options.command, stages.command)):
         if diagonal("R")[i] > 0 or diagonal("R_delta")[i] > 0:
             continue
-        states = [row for row in range(plain.n_x) if moved.has_nz(row, place)]
+        states = [row for row in range(stages.n_x) if moved.has_nz(row, place)]
         weighed = any(diagonal("QN")[row] > 0 for row in states)
-        for y in range(len(outputs.names)):
+        for y in range(stages.n_y):
             by_state = diagonal("QN_y")[y] > 0 and any(C.has_nz(y, row) for row in states)
             direct = diagonal("Q_y")[y] > 0 and through.has_nz(y, place)
             weighed = weighed or by_state or direct
@@ -224,31 +222,29 @@ def _bounds_of(options, outputs):
     return dict(path=path, end=end, change=change)
 
 
-def _rows_of(options, outputs, bounds):
-    """The rows, those of all commands first, and their numbers by name."""
-    path = bounds["path"]
+def _general(stages, bounds):
+    """The Stages with rows for these bounds {kind: {name: Bound}}, and the numbers of all rows."""
+    path = bounds["path"] | {(name,): bound for name, bound in bounds["change"].items()}
     end = bounds["end"]
-    entries = []  # (Row, Bound along the horizon, Bound at its end)
-    for place, name in enumerate(options.command):
-        entries.append((Row(Kind.COMMAND, place), path.get(name, NONE), NONE))
-    kinds = ((Kind.STATE, options.model.states), (Kind.OUTPUT, outputs.names))
-    for kind, names in kinds:
-        for place, name in enumerate(names):
-            if name in path or name in end:
-                along = path.get(name, NONE)
-                entries.append((Row(kind, place), along, end.get(name, along)))
-    for name, bound in bounds["change"].items():
-        entries.append((Row(Kind.CHANGE, options.command.index(name)), bound, NONE))
-    rows, along, last = zip(*entries)
+    names = stages.quantities
+    commands = names[stages.n_x : stages.n_x + stages.n_c]
+    bounded = [
+        place
+        for place, name in enumerate(names)
+        if name not in commands and (name in path or name in end)
+    ]
+    stages = stages._replace(is_general=True, bounded=tuple(bounded))
+    along = [path.get(names[place], NONE) for place in stages.rows]
+    # What does not count at the end has no bound there, either.
+    last = [end.get(names[place], bound) for place, bound in zip(stages.rows, along)]
     numbers = dict(
         lower=[bound.lowest for bound in along],
         upper=[bound.highest for bound in along],
         lower_N=[bound.lowest for bound in last],
         upper_N=[bound.highest for bound in last],
     )
-    n_c = len(options.command)
-    priced = [a if a.is_soft else b for a, b in zip(along[n_c:], last[n_c:])]
-    prices = [bound.prices if bound.is_soft else (NO_PRICE, 0.0) for bound in priced]
-    prices = np.reshape(prices, (-1, 2)).T
     numbers = {name: np.clip(value, *_LIMITS) for name, value in numbers.items()}
-    return rows, numbers | dict(zip(("linear", "quadratic"), prices))
+    priced = [a if a.is_soft else b for a, b in zip(along, last)][stages.n_c :]
+    prices = [bound.prices if bound.is_soft else (NO_PRICE, 0.0) for bound in priced]
+    linear, quadratic = np.reshape(prices, (-1, 2)).T
+    return stages, numbers | dict(linear=linear, quadratic=quadratic)

@@ -4,7 +4,7 @@
          + ½ Σ_{i=0..N-1} ‖u_r,i - u_i‖²_R
     s.t. x_0 = x̂, x_{i+1} = F(x_i, u_i, p̂), lower ≤ u_i ≤ upper        eq. (11), (16)
 
-The states are eliminated, which leaves a QP in the commanded inputs. Everything that does not
+`stages` has that as one list of quantities, which a user may extend. Everything that does not
 depend on the newest sample belongs to the preparation phase. The estimate (x̂, p̂) and the
 references enter in the feedback phase only: they move the gradient, through the linearised dynamics
 of the joint state s = (x, p).
@@ -18,13 +18,10 @@ from pydantic import SkipValidation
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
-from rhec.core.controller import phases
 from rhec.core.controller.bounds import Bound
-from rhec.core.controller.constrained import ConstrainedStages
-from rhec.core.controller.horizon import init
 from rhec.core.controller.initial_plan import checked_plan, planned_memory
 from rhec.core.controller.options import Options, problem_of
-from rhec.core.controller.plain import PlainStages
+from rhec.core.controller.phases import build_phases, init
 from rhec.core.model.base import Model
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
@@ -37,23 +34,6 @@ Weights = SkipValidation[tuple[float, ...] | np.ndarray]
 OptionalWeights = SkipValidation[tuple[float, ...] | np.ndarray | None]
 Bounds = SkipValidation[dict[str, tuple[float, float] | Bound] | None]
 OutputsByName = SkipValidation[tuple[str, ...] | dict[str, Callable] | None]
-
-
-def build_phases(horizon):
-    """Build the phases {name: Function}, as `rhec.core.controller.phases` says.
-
-    Args:
-        horizon: A Horizon, or a ConstrainedHorizon, whose step also returns the QP's `iterations`.
-    """
-    make_stages = PlainStages if horizon.plain is horizon else ConstrainedStages
-    return phases.build(horizon, make_stages(horizon))
-
-
-def refuse_before(structure, u_before):
-    """Raise a ValueError for inputs of the sample before, where no change of an input matters."""
-    if not structure.has_changes:
-        expected = "it should be None, since changes have neither weights nor bounds"
-        valid.refuse("u_before was", u_before, expected)
 
 
 class RHC(RealTimeLoop):
@@ -125,27 +105,20 @@ class RHC(RealTimeLoop):
 
     def _load(self, problem):
         """Load the compiled phases of a Problem, and name views of their input arrays."""
-        self.problem = problem.plain
-        self.horizon = problem.plain.N
-        self.structure = problem.structure
+        stages = self.stages = problem.stages
+        self.horizon = stages.N
         self.settings = problem.settings
-        # All that a step improves is unknown: predicted states and planned inputs.
-        unknowns = tuple(problem.plain.memory)
-        memory = tuple(problem.structure.memory)
-        functions = compiled.load(build_phases, problem.structure)
-        self.iteration = RealTimeIteration(functions, memory, unknowns, **self.settings)
-        arrays = self.iteration.arrays
-        n_x = problem.plain.n_x
-        self._inputs = dict(
-            x=arrays["s_0"][:n_x],
-            p=arrays["s_0"][n_x:],
-            x_ref=arrays["x_ref"].reshape((n_x, -1), order="F"),
-            u_ref=arrays["u_ref"].reshape((problem.plain.n_u, -1), order="F"),
+        functions = compiled.load(build_phases, stages)
+        self.iteration = RealTimeIteration(
+            functions, tuple(stages.memory), tuple(stages.unknowns), **self.settings
         )
-        if "y_ref" in arrays:
-            n_y = len(problem.structure.outputs.names)
-            columns = (n_y, problem.plain.N + 1)
-            self._inputs["y_ref"] = arrays["y_ref"].reshape(columns, order="F")
+        arrays = self.iteration.arrays
+        self._inputs = dict(x=arrays["s_0"][: stages.n_x], p=arrays["s_0"][stages.n_x :])
+        self._inputs |= {
+            name: arrays[name].reshape(shape, order="F")
+            for name, shape in stages.references.items()
+            if name != "s_0"
+        }
 
     def first_memory(self, x: Any, p: Any) -> dict:
         """The memory before the first sample: the robot stays at x, and nothing is planned.
@@ -157,7 +130,7 @@ class RHC(RealTimeLoop):
         Returns:
             The memory's arrays by name.
         """
-        return init(self.structure, x, p, self.settings)
+        return init(self.stages, x, p, self.settings)
 
     def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
@@ -175,7 +148,7 @@ class RHC(RealTimeLoop):
             ValueError: If an argument has another shape, or an entry that is no number.
         """
         before = self._commands_before(u_before)
-        self._initial = checked_plan(self.problem, u_plan, x_plan)
+        self._initial = checked_plan(self.stages, u_plan, x_plan)
         self._before = before
         self.iteration.restart()
 
@@ -196,7 +169,7 @@ class RHC(RealTimeLoop):
             valid.refuse("update had", unknown[0], f"it may have {fields}")
         options = self._options._replace(**changes)
         problem = self._problem_of(options)
-        if problem.structure != self.structure:
+        if problem.stages != self.stages:
             raise ValueError(
                 f"update had {', '.join(changes)}, which changes what is weighed or bounded; that "
                 "needs a new rhec.RHC"
@@ -208,7 +181,7 @@ class RHC(RealTimeLoop):
     @property
     def status(self) -> str:
         """Why the last step was not `ok`, as a sentence; empty if it was."""
-        for name, excess in zip(self.structure.soft_names, self.iteration.arrays.get("excess", ())):
+        for name, excess in zip(self.stages.soft_names, self.iteration.arrays.get("excess", ())):
             if excess:
                 return f"the bounds of {name} cannot be kept; the plan exceeds them by {excess:.3g}"
         return super().status
@@ -219,14 +192,13 @@ class RHC(RealTimeLoop):
         return dict(self._options.bounds or {})
 
     def __repr__(self):
-        problem = self.problem
-        commands = ", ".join(problem.model.inputs[place] for place in problem.command)
-        is_plain = self.structure is problem
-        qp = problem.qp or ("by stages" if is_plain else "by interior point")
-        head = f"{type(self).__name__}: {problem.N} intervals of {problem.dt_s:g} s, QP {qp}"
-        states = f"  states   {', '.join(problem.model.states)}"
-        if not is_plain:
-            outputs = ", ".join(self.structure.outputs.names) or "none"
+        stages = self.stages
+        commands = ", ".join(stages.model.inputs[place] for place in stages.command)
+        qp = stages.qp or ("by interior point" if stages.is_general else "by active set")
+        head = f"{type(self).__name__}: {stages.N} intervals of {stages.dt_s:g} s, QP {qp}"
+        states = f"  states   {', '.join(stages.model.states)}"
+        if stages.is_general:
+            outputs = ", ".join(stages.outputs.names) or "none"
             return f"{head}\n{states}\n  outputs  {outputs}\n  commands {commands}"
         numbers = {name: np.array2string(value) for name, value in self.settings.items()}
         return (
@@ -326,35 +298,37 @@ class RHC(RealTimeLoop):
         """The commands (n_c,) among the inputs (n_u,) that were applied before, or None."""
         if u_before is None:
             return None
-        refuse_before(self.structure, u_before)
-        u = np.zeros(self.problem.n_u)
+        if not self.stages.has_changes:
+            expected = "it should be None, since changes have neither weights nor bounds"
+            valid.refuse("u_before was", u_before, expected)
+        u = np.zeros(self.stages.n_u)
         copy_checked("u_before", u_before, u)
-        return u[list(self.problem.command)]
+        return u[list(self.stages.command)]
 
     def _start(self):
         # There is no previous plan: start from a given one, or a robot that stays where it is.
         # By their places, because a subclass may have other names for them.
         x, p = list(self._inputs.values())[:2]
-        u_ref = self.iteration.arrays["u_ref"][: self.problem.n_u]
+        u_ref = self.iteration.arrays["u_ref"][: self.stages.n_u]
         u = np.where(np.isfinite(u_ref), u_ref, 0.0)
-        refuse_unstable_step(self.problem.model, x, u, p, self.problem.dt_s)
+        refuse_unstable_step(self.stages.model, x, u, p, self.stages.dt_s)
         memory = self.first_memory(x, p)
         if self._initial:
             # A line search would refuse the way back to the bounds, where it raises the cost.
-            n_c = len(self.problem.command)  # their bounds are the first of all
-            bounds = (self.settings[name][:n_c] for name in ("lower", "upper"))
-            memory |= planned_memory(self.problem, self._initial, *bounds, x, p)
+            # Their bounds are the first of all.
+            bounds = (self.settings[name][: self.stages.n_c] for name in ("lower", "upper"))
+            memory |= planned_memory(self.stages, self._initial, *bounds, x, p)
         self.iteration.start(memory)
 
     @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n_u, N)."""
-        return self.iteration.arrays["u_plan"].reshape((self.problem.n_u, -1), order="F").copy()
+        return self.iteration.arrays["u_plan"].reshape((self.stages.n_u, -1), order="F").copy()
 
     @property
     def x_plan(self) -> np.ndarray:
         """Predicted states (n_x, N+1)."""
         # The states are not needed for the command, so feedback leaves them to expand.
         self.iteration.expand()
-        s = self.iteration.previous["s"].reshape((self.problem.n_s, -1), order="F")
-        return s[: self.problem.n_x].copy()
+        s = self.iteration.previous["s"].reshape((self.stages.n_s, -1), order="F")
+        return s[: self.stages.n_x].copy()

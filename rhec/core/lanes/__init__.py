@@ -5,7 +5,7 @@ SIMD means single instruction, multiple data: a register holds two (SSE2), four 
 simulates about 200 runs of 240 s per second, without lanes 50 (benchmark/README.md). The
 results are the same to the last bit.
 
-Lanes need a C and a C++ compiler, and some seconds to compile each loop once. `rhec.batch` uses
-them, and so do `rhec.campaign` and `rhec.simulate` of a list if that pays. `CXX=false` in the
-environment disables them. Nothing else depends on them.
+Lanes need a C and a C++ compiler, and some seconds to compile each loop once. `rhec.campaign` uses
+them, and so does `rhec.simulate` of a list if that pays. `CXX=false` in the environment disables
+them. Nothing else depends on them.
 """

@@ -56,7 +56,9 @@ def _box_qp_by_pivoting(n):
 
     @casadi_function(f"box_qp_{n}", ca.MX)
     def box_qp(H: (n, n), g: (n, 1), lb: (n, 1), ub: (n, 1)):
-        solution = search(R=H, g=g.T, lower=lb.T, upper=ub.T, active=no_bound)
+        solution = search(
+            R=H, g=ca.horzcat(g, ca.MX.zeros(n)), lower=lb.T, upper=ub.T, active=no_bound
+        )
         return dict(x=ca.fmin(ca.fmax(solution["x"].T, lb), ub), solved=solution["solved"])
 
     return box_qp

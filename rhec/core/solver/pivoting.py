@@ -34,18 +34,18 @@ def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
 
 
 def search_active_set(N, solve, problem):
-    """Build a Function (problem …, active) -> (solved, x, multipliers); the last two are rows of N.
+    """Build a Function (problem …, active) -> (solved, x, multipliers, slope).
 
-    `problem` {name: shape} is the QP's data. `solve` is a Function (problem …, active) -> (x,
-    multipliers, corrected, first_corrected, wrong): the solution for a guess of the active set; the
-    guess after exchanging all infeasible variables, or the first alone; their number, or -1 where
-    the solution is not finite. If the search gives up, after MAX_SWEEPS guesses, all three results
-    are 0.
+    x and multipliers are rows of N, slope is the gradient times the solution. `problem` {name:
+    shape} is the QP's data. `solve` is a Function (problem …, active) -> (x, multipliers, slope,
+    corrected, first_corrected, wrong): the solution for a guess of the active set; the guess after
+    exchanging all infeasible variables, or the first alone; their number, or -1 where the solution
+    is not finite. If the search gives up, after MAX_SWEEPS guesses, all results are 0.
     """
     row = (1, N)
     one = (1, 1)
     # `wrong` counts the infeasible variables of the last guess, `least` the fewest so far.
-    state = dict(active=row, least=one, patience=one, wrong=one, x=row, multipliers=row)
+    state = dict(active=row, least=one, patience=one, wrong=one, x=row, multipliers=row, slope=one)
     shapes = problem | state
     pivot = _build_pivot(solve, shapes)
 
@@ -58,11 +58,13 @@ def search_active_set(N, solve, problem):
     @casadi_function("stage_qp", ca.MX, **problem, active=row)
     def search_from(active, **problem):
         zeros = ca.MX.zeros(1, N)
-        start = dict(least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros)
+        start = dict(
+            least=N + 1, patience=_PATIENCE, wrong=N + 1, x=zeros, multipliers=zeros, slope=0
+        )
         end = search(**problem, active=active, **start)
         solved = end["wrong"] == 0
         return dict(solved=solved) | {
-            name: ca.if_else(solved, end[name], 0) for name in ("x", "multipliers")
+            name: ca.if_else(solved, end[name], 0) for name in ("x", "multipliers", "slope")
         }
 
     return search_from
@@ -72,7 +74,7 @@ def _build_pivot(solve, shapes):
     """One guess solved, and the next one chosen."""
 
     @casadi_function("stage_qp_pivot", ca.MX, **shapes)
-    def pivot(active, least, patience, wrong, x, multipliers, **problem):
+    def pivot(active, least, patience, wrong, x, multipliers, slope, **problem):
         solution = solve(**problem, active=active)
         n_infeasible = solution["wrong"]
         is_fewer = n_infeasible < least
@@ -85,6 +87,7 @@ def _build_pivot(solve, shapes):
             wrong=n_infeasible,
             x=solution["x"],
             multipliers=solution["multipliers"],
+            slope=solution["slope"],
         )
 
     return pivot

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from rhec.core._casadi.build import select_inputs, with_packed_memory
+from rhec.core import wiring
+from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
 
@@ -27,19 +28,17 @@ IMPROVE = "improve"  # optional: one iteration without shift, whose step may be 
 
 def run_phases(phases, values):
     """Run all phases {name: Function} of one sample; each adds its results to `values`, by name."""
-    for name in PHASES:
-        values |= phases[name](**select_inputs(phases[name], values))
-    return values
+    return wiring.evaluated([wiring.wired(phases[name]) for name in PHASES], values)
 
 
 def outer_inputs(phases, memory):
     """{name: sparsity} of inputs that neither the memory nor an earlier one of the phases gives."""
-    known = {*memory}
-    inputs = {}
-    for phase in phases:
-        inputs |= {key: phase.sparsity_in(key) for key in phase.name_in() if key not in known}
-        known.update(phase.name_out())
-    return inputs
+    found = wiring.outside(map(wiring.wired, phases))
+    return {
+        place: function.sparsity_in(name)
+        for place, (function, name) in found.items()
+        if place not in memory
+    }
 
 
 def chained(name, phases, memory, results, symbols, first=()):
@@ -58,8 +57,7 @@ def chained(name, phases, memory, results, symbols, first=()):
 
     @with_packed_memory(name, memory, symbols, **inputs)
     def chain(**values):
-        for phase in phases:
-            values |= phase(**select_inputs(phase, values))
+        values = wiring.evaluated(map(wiring.wired, phases), values)
         return {key: values[key] for key in (*memory, *results)}
 
     return chain
@@ -77,18 +75,20 @@ def iterate(phases, values):
     Returns:
         `values` with the results of linearise and feedback, by name; and those of expand.
     """
-    for name in PHASES[1:3]:
-        values = values | phases[name](**select_inputs(phases[name], values))
-    return values, phases["expand"](**select_inputs(phases["expand"], values))
+    before = [wiring.wired(phases[name]) for name in PHASES[1:3]]
+    values = wiring.evaluated(before, values)
+    expand = wiring.wired(phases["expand"])
+    after = wiring.evaluated([expand], values)
+    return values, {name: after[name] for name in expand.writes}
 
 
 class RealTimeIteration:
     """The four compiled phases on shared NumPy arrays, the engine of RHE and RHC objects.
 
     The phases exchange data by array name: the output "K" of one phase and the input "K" of the
-    next are the same array. The memory exists twice, because a Function must not write what it
-    still reads: `expand` writes it to `previous`, and `shift` reads it there and writes `current`,
-    where `linearise` and `feedback` read it.
+    next are the same array. The memory exists twice (`wiring.in_two_memories`): `expand` writes it
+    to `previous`, and `shift` reads it there and writes `current`, where `linearise` and `feedback`
+    read it.
 
     `memory` names the pieces of the memory, and `unknowns` those that an iteration improves.
     `constants` are values of inputs that never change.
@@ -96,30 +96,33 @@ class RealTimeIteration:
 
     def __init__(self, functions, memory, unknowns, **constants):
         self.unknowns = unknowns
-        present = [name for name in (*PHASES, IMPROVE) if name in functions]
-        self.phases = {name: BufferedFunction(functions[name]) for name in present}
-        shifted = self.phases["shift"].arguments
-        self.previous = {name: np.zeros(shifted[name].shape) for name in memory}
-        self.current = {name: array.copy() for name, array in self.previous.items()}
+        functions = {name: functions[name] for name in (*PHASES, IMPROVE) if name in functions}
+        self.phases = {name: BufferedFunction(each) for name, each in functions.items()}
         self.arrays = {}
-        for phase, call in self.phases.items():
-            memories = [self.current, self.previous]
-            read, written = reversed(memories) if phase == "shift" else memories
-            for name, array in call.arguments.items():
-                shared = read if name in memory else self.arrays
-                call.read_from(name, shared.setdefault(name, array))
-            for name, array in call.results.items():
-                shared = written if name in memory else self.arrays
-                call.write_to(name, shared.setdefault(name, array))
+        for phase, part in wiring.in_two_memories(functions, memory).items():
+            call = self.phases[phase]
+            for name, place in part.reads.items():
+                call.read_from(name, self.arrays.setdefault(place, call.arguments[name]))
+            for name, place in part.writes.items():
+                call.write_to(name, self.arrays.setdefault(place, call.results[name]))
+        self.previous, self.current = (
+            {name: self.arrays.pop(f"{version}.{name}") for name in memory}
+            for version in ("previous", "current")
+        )
         # Looking the bound methods up in each sample would take longer.
-        calls = (phase.call for phase in self.phases.values())
-        self._shift, self._linearise, self._feedback, self._expand, *improve = calls
-        self._improve = improve[0] if improve else None
+        self._shift = self.phases["shift"].call
+        self._linearise = self.phases["linearise"].call
+        self._feedback = self.phases["feedback"].call
+        self._expand = self.phases["expand"].call
+        self._improve = self.phases[IMPROVE].call if IMPROVE in self.phases else None
         self.set(self.arrays, constants)
         self.restart()
 
     def restart(self):
-        """Let the next sample be the first."""
+        """Let the next sample be the first; until then there is no result."""
+        for name in ("ok", "share_after"):
+            if name in self.arrays:
+                self.arrays[name][:] = 0
         self.started = self.prepared = self.expanded = self.converged = False
 
     @staticmethod

@@ -76,6 +76,9 @@ static void restart(struct rhec *r, const double guess[], const double other[])
 #ifdef RHEC_HEADINGS
     estimator_first(r);
 #endif
+#ifdef RHEC_YAW_DRIFT
+    r->estimator.yaw_drift[0] = 0;
+#endif
 #if defined RHEC_PATH && defined RHEC_CONTROLLER
     path_closest(r);
 #endif
@@ -258,6 +261,9 @@ int rhec_control(struct rhec *r, double *omega)
     memcpy(r->controller.s_0, r->estimate, sizeof r->estimate);
     status |= controller_step(r);
     r->omega[0] = r->controller.u_plan[0];
+#ifdef RHEC_YAW_DRIFT
+    r->omega[0] -= r->path.disturbance[0]; /* the plan is of both */
+#endif
     *omega = r->omega[0];
     return status;
 }

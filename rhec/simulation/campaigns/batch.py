@@ -14,8 +14,8 @@ from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
-from rhec.simulation.blocks import blocks_of
 from rhec.simulation.campaigns.store import PLAIN
+from rhec.simulation.parts import blocks_of
 from rhec.tracked_robot import terrain
 
 # Compiling lanes takes up to eight seconds and pays from this number of samples per loop structure.

@@ -6,11 +6,12 @@ import functools
 import os
 import textwrap
 import threading
+from concurrent.futures import Executor
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, GetPydanticSchema, WrapValidator
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import Whole, checked
@@ -33,12 +34,20 @@ _DEATHS_OF_A_RUN = 3
 _STARTS_OF_A_WORKER = 20
 _SHOWN_AFTER_S = 2.0  # a campaign that takes longer shows its progress
 
+# An Executor passes; all else must be a count. As a union, it would be refused in other words.
+_Count = Annotated[Whole, Field(ge=1, le=1024)]
+_CountOrExecutor = Annotated[
+    _Count,
+    WrapValidator(lambda value, check: value if isinstance(value, Executor) else check(value)),
+]
+_Workers = Annotated[
+    Executor | int, GetPydanticSchema(lambda _, schema_of: schema_of(_CountOrExecutor))
+]
+
 
 @checked
 def campaign(
-    scenarios: Any,
-    folder: Path | None = None,
-    workers: Annotated[Whole, Field(ge=1, le=1024)] | None = None,
+    scenarios: Any, folder: Path | None = None, workers: _Workers | None = None
 ) -> "pd.DataFrame":
     """Run scenarios and return a table with one row per run.
 
@@ -48,12 +57,16 @@ def campaign(
     no finished run; a run has failed if three workers died that ran nothing else. A terminal or a
     notebook shows a progress bar after two seconds.
 
+    An Executor of several machines, such as one of Dask or MPI, computes the same rows; how to
+    start one is in docs/campaigns.md.
+
     Args:
         scenarios: An iterable of rhec.Scenario. Equal scenarios run once.
         folder: Folder of Parquet files with finished runs. With it, the same call continues an
             interrupted campaign. Failed runs, and those of other code, versions or machines, run
             again.
-        workers: Number of processes, 1 to 1024; 1 is this process.
+        workers: Number of processes, 1 to 1024; 1 is this process. Or a
+            concurrent.futures.Executor, which stays yours: it is neither started nor ended here.
 
     Returns:
         A DataFrame with one row for each scenario, in their order: the parameters in which the
@@ -64,8 +77,9 @@ def campaign(
     Raises:
         ValueError: If an argument is invalid.
         ImportError: If loky or pyarrow is needed and not installed.
-        RuntimeError: If a worker process differs from this one, because code or packages have
-            changed meanwhile or its compiler failed.
+        RuntimeError: If a worker has another processor, compiler, code or packages than this
+            process, so that its numbers may differ; or if an Executor starts no other worker in
+            place of one that died.
         KeyboardInterrupt: If interrupted; the message has the number of finished runs.
     """
     import pandas as pd  # imported here, because workers do not need it
@@ -184,9 +198,7 @@ def _run_on_workers(pool, plan):
     time as before, then alone, until the parts are single runs. Thus a run that kills its worker
     is found, and work that others kill again and again is done in the end.
     """
-    here = store.provenance()
-    check = functools.partial(_check_provenance, here)
-    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples, expected=here)
+    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples)
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, plan.worth_lanes()):
         yield {}  # lets the caller check the compiler
@@ -198,7 +210,7 @@ def _run_on_workers(pool, plan):
     deaths = collections.Counter()  # of workers that ran this key and nothing else
     killed = store.failed_row("BrokenProcessPool: every worker that ran it died")
     while tasks:
-        lost = yield from _finished(_one_by_one(pool, run_task, tasks, check))
+        lost = yield from _finished(_one_by_one(pool, run_task, tasks))
         deaths.update(key for task in lost if len(task) == 1 for key in task)
         lethal = {key for key, count in deaths.items() if count == _DEATHS_OF_A_RUN}
         yield dict.fromkeys(lethal, killed)
@@ -223,7 +235,7 @@ def _parts(task):
     return [dict(items[start : start + size]) for start in range(0, len(items), size)]
 
 
-def _one_by_one(pool, function, tasks, check):
+def _one_by_one(pool, function, tasks):
     """Yield (task, function(task) or None) like `map_tasks`, one task at a time.
 
     Before each task, a worker must have started and answered. Otherwise a worker that is killed
@@ -233,47 +245,21 @@ def _one_by_one(pool, function, tasks, check):
         pool: The workers.
         function: A function of a task.
         tasks: The tasks.
-        check: A function of None, whose result is True.
     """
     for task in tasks:
         for _ in range(_STARTS_OF_A_WORKER):
-            if all(answer for _, answer in map_tasks(pool, check, [None])):
+            if all(answer for _, answer in map_tasks(pool, str, ["ready"])):
                 break
         yield from map_tasks(pool, function, [task])
 
 
-def _run_task(scenarios, mean_samples, expected=None):
-    """Return {key: row} of {key: scenario}.
-
-    Args:
-        scenarios: {key: scenario} of one task.
-        mean_samples: That of the campaign's Plan.
-        expected: `store.provenance` of the caller, if that is another process.
-
-    Raises:
-        RuntimeError: If the provenance of this process differs.
-    """
-    _check_provenance(expected)
+def _run_task(scenarios, mean_samples):
+    """Return {key: row} of {key: scenario}; `mean_samples` is that of the campaign's Plan."""
     in_lanes = run_in_lanes(scenarios, mean_samples)
     rows = {}
     for key, scenario in scenarios.items():
         rows[key] = in_lanes[key] | dict(error="") if key in in_lanes else _run_one(scenario)
-    _check_provenance(expected)  # again, because the compiler may have failed in between
     return rows
-
-
-def _check_provenance(expected, _=None):
-    """Return True; raise a RuntimeError if this process has another provenance than the caller."""
-    if not expected:
-        return True
-    here = store.provenance()
-    for name, value in expected.items():
-        if here.get(name) != value:
-            raise RuntimeError(
-                f"the worker has {name} {here.get(name)}, but the caller has {value}; "
-                "they must be the same"
-            )
-    return True
 
 
 def _run_one(scenario):

@@ -8,7 +8,6 @@ import functools
 import hashlib
 import importlib.metadata
 import json
-import os
 import platform
 import warnings
 from array import array
@@ -19,6 +18,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import shown
 from rhec.core.own_step import OwnStep
+from rhec.files import replacing
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
 from rhec.tracked_robot import terrain
@@ -167,13 +167,8 @@ def save_rows(folder, rows):
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
     name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
-    # With the process number, two campaigns in one folder do not write the same file.
-    unfinished = folder / f"{name}.{os.getpid()}.unfinished"
-    try:
+    with replacing(folder / f"{name}.parquet") as unfinished:
         pq.write_table(table, unfinished, write_page_checksum=True)
-        os.replace(unfinished, folder / f"{name}.parquet")
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def load_rows(folder, wanted=None):
@@ -199,13 +194,29 @@ def _read_table(file, wanted):
     """Return the Arrow table of a file, with the rows of these keys or, for None, with all rows."""
     import pyarrow.parquet as pq
 
+    if not file.is_file():  # reading a pipe would wait for ever
+        raise OSError("it is no file")
     with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
         names = _schema().names
         if missing := {*names} - {*parquet.schema_arrow.names}:
             raise KeyError(f"no column {min(missing)}")
         if wanted is None:
-            return parquet.read(names).cast(_schema())
+            return _as_written(parquet.read(names))
         chosen = [key in wanted for key in parquet.read(["key"])["key"].to_pylist()]
         if not any(chosen):
             return _schema().empty_table()
-        return parquet.read(names).cast(_schema()).filter(chosen)
+        return _as_written(parquet.read(names)).filter(chosen)
+
+
+def _as_written(table):
+    """The table with the types of `save_rows`, and NaN where pandas has made it null."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    table = table.cast(_schema())
+    for place, field in enumerate(table.schema):
+        if table.column(place).null_count:
+            if not pa.types.is_floating(field.type):
+                raise ValueError(f"{field.name} has no value in some rows")
+            table = table.set_column(place, field, pc.fill_null(table.column(place), np.nan))
+    return table

@@ -1,14 +1,18 @@
-"""Worker processes on this machine, by loky.
+"""Workers: processes on this machine, by loky, or any executor that the caller has made.
 
-They communicate through pipes, so no port is open to other users. The script that starts them needs
-no `if __name__ == "__main__":`.
+Those of loky communicate through pipes, so no port is open to other users. The script that starts
+them needs no `if __name__ == "__main__":`.
 """
 
+import atexit
 import contextlib
+import functools
 import importlib.util
 import itertools
+import multiprocessing
 import os
 import pickle
+import platform
 import queue
 import shutil
 import signal
@@ -16,8 +20,10 @@ import tempfile
 import threading
 import time
 import warnings
+from concurrent.futures import BrokenExecutor, Executor
 from concurrent.futures.process import BrokenProcessPool
 
+from rhec.simulation.campaigns import store
 from rhec.simulation.campaigns.optional import optional
 
 # Starting worker processes pays from this number of samples.
@@ -29,6 +35,22 @@ _IDLE_S = 60.0  # idle time after which a worker process ends
 _PARENT_CHECKED_S = 1.0  # interval in which a worker looks whether its parent still runs
 # Each worker uses one core; by default BLAS would start one thread per core in every worker.
 _ONE_THREAD = dict(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+
+# Errors by which Dask and ipyparallel tell that a worker died; they are no BrokenExecutor.
+_DEATHS = "KilledWorker", "EngineError"
+_COUNT_UNKNOWN = 16  # workers of an executor that does not tell how many it has
+# What helps where a worker would compute other bits than the caller.
+_BY_PROCESSOR = (
+    "start the campaign and its workers on machines of one kind, or give each kind a part of the "
+    "seeds and a folder, and join the tables with pandas.concat"
+)
+_REMEDIES = {
+    "C compiler": "CC should name a C compiler that works on all machines, or be empty on all",
+    "machine": _BY_PROCESSOR,
+    "C library": _BY_PROCESSOR,
+    "vector instructions": _BY_PROCESSOR,
+}
+_BY_PACKAGES = "install the same rhec and packages on all machines and start the workers anew"
 
 _existing = None  # the workers of this process, which the next campaign reuses
 
@@ -43,21 +65,34 @@ def get_workers(count, large):
     """Return existing or new workers, or None for this process.
 
     Args:
-        count: Number of processes, or None to choose: for a large campaign one per core.
+        count: Number of processes, an Executor, or None to choose: for a large campaign the Dask
+            cluster whose address RHEC_DASK is, else one process per core.
         large: Whether starting processes pays.
 
     Raises:
-        ImportError: If loky is needed and not installed.
+        ImportError: If loky or distributed is needed and not installed.
+        OSError: If processes are asked for, and this system lets none share a lock.
     """
     global _existing
-    if count is None and large and importlib.util.find_spec("loky"):
+    if count is None and large and (address := os.environ.get("RHEC_DASK")):
+        count = _of_dask(address)
+    if isinstance(count, Executor):
+        return _Given(count)
+    lacking = _lacks_locks()
+    if count is None and large and not lacking and importlib.util.find_spec("loky"):
         count = _count_cores()
     if count in (None, 1):
         return None
     optional("loky", f"workers={count}")
+    if lacking:
+        raise OSError(
+            lacking.errno,
+            f"workers={count} needs locks that processes share, as a writable /dev/shm has them "
+            f"({lacking.strerror}); workers=1 needs none",
+        )
     if _existing is None or _existing.count != count:
         if _existing is not None:
-            _existing.stop()
+            _existing.stop(())
         _existing = _Workers(count)
     return _existing
 
@@ -68,6 +103,21 @@ def _count_cores():
 
     limit = os.environ.get("PYTHON_CPU_COUNT", "")
     return int(limit) if limit.isdecimal() and int(limit) else loky.cpu_count()
+
+
+def _lacks_locks():
+    """Return the OSError with which this system refuses a lock of several processes, or None."""
+    try:
+        multiprocessing.Lock()
+    except OSError as error:
+        return error
+    return None
+
+
+@functools.cache
+def _of_dask(address):
+    """Return the Executor of the Dask cluster whose scheduler has this address."""
+    return optional("distributed", f"RHEC_DASK={address}").Client(address).get_executor(pure=False)
 
 
 class _Workers:
@@ -84,9 +134,10 @@ class _Workers:
         self.folder = tempfile.TemporaryDirectory(
             prefix="rhec-workers-", ignore_cleanup_errors=True
         )
+        atexit.register(self.folder.cleanup)
 
     def submit(self, function, task):
-        """Return the Future of function(task), whose result is for `_from_file`."""
+        """Return the Future of function(task); `result` reads what it left."""
         order = _into_file, function, task, self.folder.name
         with _interrupts_blocked():
             if self.pool is not None:
@@ -105,11 +156,61 @@ class _Workers:
             )
             return self.pool.submit(*order)
 
-    def stop(self):
+    @staticmethod
+    def result(future):
+        """Return the result of a finished future; raise BrokenExecutor if its worker died."""
+        return _from_file(*future.result())
+
+    def stop(self, pending):
         """Kill the processes and their tasks."""
         if self.pool is not None:
             self.pool.shutdown(kill_workers=True)
         self.pool = None
+
+
+class _Given:
+    """The workers of an Executor that the caller has made, and that stays the caller's."""
+
+    def __init__(self, executor):
+        self.pool = executor
+        self.count = _count_of(executor)
+
+    def submit(self, function, task):
+        """Return the Future of function(task)."""
+        try:
+            return self.pool.submit(function, task)
+        except BrokenExecutor:
+            raise RuntimeError(
+                f"a worker of the {type(self.pool).__name__} died, which starts no other; with a "
+                "folder, the same call with a new executor continues from the runs that are done"
+            ) from None
+
+    @staticmethod
+    def result(future):
+        """Return the result of a finished future; raise BrokenExecutor if its worker died."""
+        try:
+            return future.result()
+        except Exception as error:
+            # ipyparallel wraps errors of its engines, whose name is `ename`.
+            if getattr(error, "ename", type(error).__name__) in _DEATHS:
+                raise BrokenExecutor(str(error)) from error
+            raise
+
+    def stop(self, pending):
+        """Leave the workers alone, but not with tasks that nobody waits for."""
+        for future in pending:
+            future.cancel()
+
+
+def _count_of(executor):
+    """Return how many tasks an Executor computes at a time, at least 1."""
+    if dask := getattr(executor, "_client", None):
+        return max(1, sum(dask.nthreads().values()))
+    # Of mpi4py, then of the standard library and ipyparallel.
+    for name in ("num_workers", "_max_workers"):
+        if count := getattr(executor, name, None):
+            return count
+    return _COUNT_UNKNOWN
 
 
 def _into_file(function, task, folder):
@@ -172,6 +273,28 @@ def _interrupts_blocked():
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def _like_caller(expected, function, task):
+    """Return function(task), if it has the bits that it has in the process that asked for it.
+
+    Raises:
+        RuntimeError: If the provenance of this process is not the expected one.
+    """
+    _check_provenance(expected)
+    result = function(task)
+    _check_provenance(expected)  # again, because the compiler may have failed in between
+    return result
+
+
+def _check_provenance(expected):
+    here = store.provenance()
+    for name, value in expected.items():
+        if here[name] != value:
+            raise RuntimeError(
+                f"the worker on {platform.node()} has {name} {here[name]}, but the caller has "
+                f"{value}, so their results may differ; {_REMEDIES.get(name, _BY_PACKAGES)}"
+            )
+
+
 def map_tasks(workers, function, tasks):
     """Yield (task, function(task)) in the order in which the workers finish.
 
@@ -182,7 +305,11 @@ def map_tasks(workers, function, tasks):
         workers: The workers of `get_workers`.
         function: A function of a task.
         tasks: An iterable of tasks.
+
+    Raises:
+        RuntimeError: If a worker would compute other bits than this process.
     """
+    function = functools.partial(_like_caller, store.provenance(), function)
     tasks = iter(tasks)
     pending = {}
     finished = queue.SimpleQueue()
@@ -199,9 +326,9 @@ def map_tasks(workers, function, tasks):
             # then the workers could never be stopped.
             future = finished.get()
             result = None
-            with contextlib.suppress(BrokenProcessPool):
-                result = _from_file(*future.result())
+            with contextlib.suppress(BrokenExecutor):
+                result = workers.result(future)
             yield pending.pop(future), result
     finally:
         if pending:  # interrupted, or an error
-            workers.stop()
+            workers.stop(pending)

@@ -1,0 +1,148 @@
+"""RHE or EKF in the posterior's worlds: the fit finds noise that is known, tables count as they
+say, and total effects are the known ones.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import rhec
+from notebooks.studies import order_in_worlds, which_worlds
+from rhec import paper
+from rhec.simulation import offline
+from rhec.tracked_robot import tuning
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    """Two worlds of the prior."""
+    unit = which_worlds.first_round(2).unit
+    return [
+        which_worlds.fields_of(world) for world in which_worlds.worlds_at(unit).to_dict("records")
+    ]
+
+
+def drives_of(errors):
+    """A table as of `drive_by_rule`, from {(turns, estimator): errors of the worlds}."""
+    columns = {}
+    for rule in order_in_worlds.RULES:
+        for (turns, estimator), values in errors.items():
+            for name in ("error", "violations"):
+                columns[f"{turns} {estimator}_{rule}", name] = values
+    n = len(next(iter(errors.values())))
+    index = pd.MultiIndex.from_product([range(n), [0]], names=["world", "field"])
+    return pd.DataFrame({name: np.asarray(of, float) for name, of in columns.items()}, index)
+
+
+def same_on_all_paths(rhe, ekf):
+    paths = (order_in_worlds.OWN, *order_in_worlds.PATTERNS)
+    return {(turns, e): of for turns in paths for e, of in (("rhe", rhe), ("ekf", ekf))}
+
+
+def test_the_fit_finds_the_noise_of_the_positions():
+    """Oracle: the simulated GNSS has white noise alone, of a known deviation."""
+    fields = dict(gnss_sigma_m=0.02, gnss_slow_share=0.0, duration_s=60.0, estimator="oracle")
+    runs = [rhec.simulate(rhec.Scenario(**fields, seed=600_000))]
+    sigma_v = order_in_worlds.fit_prediction("ekf", runs).sigma_v
+    assert sigma_v[0] == sigma_v[1] == pytest.approx(0.02, rel=0.15)
+
+
+def test_the_fit_predicts_better_than_the_noise_that_is_printed():
+    runs = [rhec.simulate(rhec.Scenario(estimator="oracle", duration_s=40.0, seed=600_001))]
+    for estimator in order_in_worlds.ESTIMATORS:
+        noises = [
+            order_in_worlds.fit_prediction(estimator, runs),
+            tuning.NOISES[estimator]["printed"],
+        ]
+        fitted, printed = offline.deviances(rhec.Scenario(estimator=estimator), noises, runs)
+        assert fitted < printed
+
+
+def test_deviances_are_those_of_each_run_by_itself():
+    """Oracle: `offline.run_estimator`, one noise and run at a time."""
+    runs = rhec.simulate(
+        [rhec.Scenario(estimator="oracle", duration_s=9.0, seed=600_002 + k) for k in range(2)]
+    )
+    noises = [tuning.NOISES["rhe"][rule] for rule in ("printed", "prediction")]
+    found = offline.deviances(rhec.Scenario(), noises, runs)
+    for noise, of_noise in zip(noises, found):
+        scenario = rhec.Scenario(**noise._asdict())
+        for run, value in zip(runs, of_noise):
+            alone = offline.run_estimator(scenario, run, "deviance")["deviance"].sum()
+            assert value == pytest.approx(alone, rel=1e-9)
+
+
+def test_a_world_has_the_noise_that_was_fitted_in_it(worlds):
+    noises = pd.DataFrame(
+        [(1, "rhe", "1 1 2 3 4 5", "6 6 7 8"), (1, "ekf", "1 1 2 3", "6 6 7 8")],
+        columns=["world", "estimator", "sigma_w", "sigma_v"],
+    )
+    _, world = order_in_worlds.with_noises(worlds, noises)
+    scenario = which_worlds.scenario(world, order_in_worlds.VARIANTS["ekf_prediction"], 3)
+    assert scenario.sigma_w == (1, 1, 2, 3) and scenario.sigma_v == (6, 6, 7, 8)
+    assert "fitted_ekf" not in worlds[1]
+
+
+def test_a_pattern_changes_the_path_alone(worlds):
+    other = order_in_worlds.on_pattern(worlds[0], "right")
+    changed = {name for name in other if other[name] != worlds[0].get(name)}
+    assert changed <= {"turns", "duration_s"} and other["turns"] == "right"
+    assert order_in_worlds.on_pattern(worlds[0], order_in_worlds.OWN) == worlds[0]
+
+
+def test_shares_of_worlds_are_counted_by_their_means():
+    """The RHE is the better in three of four worlds; in one of these the EKF is lost."""
+    errors = same_on_all_paths([0.02, 0.04, 0.03, 0.05], [0.04, 0.08, 0.02, 10.0])
+    table = order_in_worlds.rule_rows(drives_of(errors), 4)
+    row = table.set_index(["rule for W", "turns"]).loc["tracking", "left"]
+    assert row["RHE better"] == 0.75
+    assert row["neither lost"] == 0.75
+    assert row["RHE better, neither lost"] == pytest.approx(2 / 3, abs=1e-5)
+    assert row["EKF / RHE"] == 2.0
+    assert row["low"] < 0.75 < row["high"]
+
+
+def test_the_sentence_has_the_shares_of_the_worlds_own_paths(tmp_path):
+    errors = same_on_all_paths([0.02] * 4, [0.04] * 4)
+    errors |= {("right", "ekf"): [0.01] * 4}
+    file = tmp_path / "table.csv"
+    order_in_worlds.rule_rows(drives_of(errors), 4).to_csv(file, index=False)
+    assert order_in_worlds.in_words(file).count("100 [40, 100] %") == 3
+    table = order_in_worlds.share_table(file)
+    assert [*table.index] == [*order_in_worlds.RULES]
+    assert (table["right"] == "0.00").all() and (table["left"] == "1.00").all()
+
+
+def test_total_effects_are_the_known_ones():
+    """Oracle: of 3 u + v, u and v uniform, the total effects are 0.9 and 0.1."""
+    unit = order_in_worlds.effect_design(64)
+    u, v = (unit[..., which_worlds.UNKNOWNS.index(name)] for name in ("speed_mps", "turns"))
+    values = 3 * (u - 0.5) + (v - 0.5)
+    found = order_in_worlds.effects({"tracking": values}).set_index("unknown")
+    total = found["of the ratio"]
+    assert total["speed_mps"] == pytest.approx(0.9, abs=0.15)
+    assert total["turns"] == pytest.approx(0.1, abs=0.05)
+    assert total.drop(["speed_mps", "turns"]).abs().max() < 1e-12
+    thirds = found.loc["speed_mps", [f"RHE better, {third} third" for third in ("lower", "upper")]]
+    assert thirds.iloc[0] < 0.1 and thirds.iloc[1] > 0.9
+
+
+def test_only_one_unknown_differs_between_the_worlds_of_a_pair():
+    unit = order_in_worlds.effect_design(8)
+    for k, sample in enumerate(unit[2:]):
+        differs = (sample != unit[0]).any(axis=0)
+        assert differs.sum() == 1, k
+
+
+def test_headlands_that_begin_gently_turn_by_half_a_turn():
+    path = order_in_worlds.eased_rows(30.0, 7.8, rows=4)
+    places = np.arange(0.0, path.length_m, 0.01)
+    poses, curvatures = path.poses(places)
+    assert poses[-1][2] == pytest.approx(0.0, abs=1e-2)
+    assert np.abs(curvatures).max() < paper.OMEGA_MAX_RADPS * 0.95 / paper.SPEED_MPS
+    assert np.abs(np.diff(curvatures)).max() < 0.25 / 7.8
+
+
+def test_choices_that_are_in_no_list_are_scenarios():
+    for fields in order_in_worlds.unlisted_cases().values():
+        rhec.Scenario(**fields)

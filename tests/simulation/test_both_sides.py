@@ -1,0 +1,151 @@
+"""What is done to the world, and what must follow: a loop knows neither left from right nor where
+it is.
+
+Without noise the drive in a mirror is the mirror image of the drive: the path turns to the other
+side, the soil lies on the other side, the other track slips more. The same holds for a world that
+is moved, or turned by a right angle.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import rhec
+from rhec.simulation.columns import COLUMNS
+from rhec.tracked_robot.path import path_of
+from rhec.tracked_robot.terrain import random_for
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+QUIET = dict.fromkeys(
+    "gnss_sigma_m encoder_sigma_mps speed_sigma_mps bump_sigma_radps".split(), 0.0
+)
+SHORT = dict(duration_s=60.0, row_length_m=6.0, headland_radius_m=7.0, start_offset_m=0.4)
+SOFT = dict(mu_mean=0.85, mu_deviation=0.06, kappa_mean=0.8, kappa_deviation=0.1)
+WORLD = rhec.Scenario(**QUIET, **SHORT, **SOFT, slip_difference=0.02, start_yaw_rad=0.2)
+LOOPS = {
+    "RHE printed": dict(process_noise="printed"),
+    "RHE by prediction": dict(process_noise="prediction"),
+    "RHE, speed as input": dict(speed_model="input", input_reference="curvature"),
+    "RHE, slipping": dict(speed_model="slipping"),
+    "EKF": dict(estimator="ekf", process_noise="prediction"),
+    "EKF by tracking, backwards": dict(
+        estimator="ekf", process_noise="tracking", backwards=True, rotation_centre_m=0.2
+    ),
+    "oracle": dict(estimator="oracle"),
+}
+
+
+def world(**fields):
+    """WORLD with its soil as an object."""
+    scenario = dataclasses.replace(WORLD, **fields)
+    return dataclasses.replace(scenario, terrain=random_for(scenario, path_of(scenario)))
+
+
+def segments(path, change):
+    """A path whose poses (x, y, θ) and curvatures are changed."""
+    s, *pose, c = path.segments.T
+    return rhec.Path(np.column_stack([s, *change(*pose, c)]), path.length_m, path.closed)
+
+
+def in_a_mirror(scenario):
+    """The world in a mirror along the x axis."""
+    soil = scenario.terrain
+    last_m = soil.origin_m[1] + (soil.mu.shape[1] - 1) * soil.cell_m
+    return dataclasses.replace(
+        scenario,
+        path=segments(path_of(scenario), lambda x, y, theta, c: (x, -y, -theta, -c)),
+        terrain=rhec.Terrain(
+            soil.mu[:, ::-1], soil.kappa[:, ::-1], (soil.origin_m[0], -last_m), soil.cell_m
+        ),
+        slip_difference=-scenario.slip_difference,
+        start_offset_m=-scenario.start_offset_m,
+        start_yaw_rad=-scenario.start_yaw_rad,
+        guess_yaw_rad=-scenario.guess_yaw_rad,
+    )
+
+
+def moved(scenario, by=(512.0, -2048.0)):
+    """The world elsewhere."""
+    soil = scenario.terrain
+    return dataclasses.replace(
+        scenario,
+        path=segments(path_of(scenario), lambda x, y, *rest: (x + by[0], y + by[1], *rest)),
+        terrain=rhec.Terrain(soil.mu, soil.kappa, np.add(soil.origin_m, by), soil.cell_m),
+    )
+
+
+def turned(scenario):
+    """The world turned to the left by a right angle: x becomes y, and y becomes -x."""
+    soil = scenario.terrain
+    last_m = soil.origin_m[1] + (soil.mu.shape[1] - 1) * soil.cell_m
+    fields = (np.rot90(field) for field in (soil.mu, soil.kappa))
+    return dataclasses.replace(
+        scenario,
+        path=segments(path_of(scenario), lambda x, y, theta, c: (-y, x, theta + np.pi / 2, c)),
+        terrain=rhec.Terrain(*fields, (-last_m, soil.origin_m[0]), soil.cell_m),
+    )
+
+
+# What becomes of the columns of a log; all others stay as they are.
+AFTERWARDS = {
+    in_a_mirror: lambda log: {
+        name: -log[name]
+        for name in (
+            "y_m y_meas_m y_hat_m theta_rad theta_hat_rad omega_radps omega_meas_radps "
+            "omega_cmd_radps curvature_radpm yaw_drift_radpm"
+        ).split()
+        if name in log
+    },
+    moved: lambda log: {
+        name: log[name] + (512.0 if name.startswith("x") else -2048.0)
+        for name in "x_m y_m x_meas_m y_meas_m x_hat_m y_hat_m".split()
+    },
+    turned: lambda log: {
+        **{f"x{rest}_m": -log[f"y{rest}_m"] for rest in ("", "_meas", "_hat")},
+        **{f"y{rest}_m": log[f"x{rest}_m"] for rest in ("", "_meas", "_hat")},
+        **{name: log[name] + np.pi / 2 for name in ("theta_rad", "theta_hat_rad")},
+    },
+}
+# How well a minimum is found depends on rounding, not on the world.
+NOT_COMPARED = ("kkt_rhe", "kkt_rhc")
+
+
+@pytest.mark.parametrize("change", AFTERWARDS, ids=lambda change: change.__name__)
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_drive_follows_its_world(loop, change):
+    scenario = world(**LOOPS[loop])
+    log = rhec.simulate(scenario).log
+    expected = log.assign(**AFTERWARDS[change](log)).drop(columns=list(NOT_COMPARED))
+    found = rhec.simulate(change(scenario)).log.drop(columns=list(NOT_COMPARED))
+    assert set(expected) >= {*COLUMNS} - {*NOT_COMPARED}
+    for name in expected:
+        one, other = (np.array(each[name], dtype=float) for each in (found, expected))
+        if name in ("theta_rad", "theta_hat_rad"):
+            # Backwards, a mirror turns the robot by -π in place of π.
+            one = other + np.angle(np.exp(1j * (one - other)))
+        np.testing.assert_allclose(one, other, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
+def test_with_noise_the_means_of_both_sides_agree(estimator):
+    """Turns to the left on soil that slips to the left, and to the right on soil to the right.
+
+    The two drive on other soil and with other noise, so that their means agree within what 24
+    fields tell: the difference has a standard error, of which five are never exceeded.
+    """
+
+    def errors_m(turns, side):
+        fields = dict(turns=turns, slip_difference=side * 0.02, start_offset_m=side)
+        scenarios = [
+            rhec.Scenario(estimator=estimator, duration_s=120.0, seed=700_000 + seed, **fields)
+            for seed in range(24)
+        ]
+        return rhec.campaign(scenarios, workers=1)["mean_error_true_m"].to_numpy()
+
+    left = errors_m("left", 1.0)
+    right = errors_m("right", -1.0)
+    wrong_side = errors_m("right", 1.0)
+    error = np.sqrt((left.var(ddof=1) + right.var(ddof=1)) / 24)
+    assert abs(left.mean() - right.mean()) < 5 * error
+    assert abs(left.mean() - wrong_side.mean()) > 5 * error  # what the test can tell

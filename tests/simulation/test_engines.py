@@ -1,0 +1,165 @@
+"""Campaigns on engines of several processes, started for real: Dask, MPI, ipyparallel.
+
+`make nightly` installs them (tests/engines.txt); what is missing is named by a skip.
+"""
+
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import engines
+import pytest
+
+import rhec
+from rhec.core._casadi import compiled
+
+pytestmark = pytest.mark.nightly
+ROOT = Path(rhec.__file__).parents[1]
+DRIVES = 600
+# MPI as root, and with more processes than cores.
+AS_IN_CONTAINERS = dict(
+    OMPI_ALLOW_RUN_AS_ROOT="1",
+    OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="1",
+    OMPI_MCA_rmaps_base_oversubscribe="1",
+)
+MPI = ["mpiexec", "-n", "3", sys.executable, "-m", "mpi4py.futures"]
+
+
+def need(engine):
+    """Skip a test where its engine is not installed."""
+    module = dict(dask="distributed", mpi="mpi4py").get(engine, engine)
+    if importlib.util.find_spec(module) is None:
+        pytest.skip(f"{module} is not installed: make .venv/engines")
+    if engine == "mpi" and not shutil.which("mpiexec"):
+        pytest.skip("mpiexec is not installed")
+
+
+def started(engine, *options, **environment):
+    """What `tests/engines.py` says after a campaign, as a dict, and how it ended."""
+    need(engine)
+    begin = MPI if engine == "mpi" else [sys.executable]
+    done = subprocess.run(
+        [*begin, "tests/engines.py", engine, *map(str, options)],
+        env=os.environ | AS_IN_CONTAINERS | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests") | environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=550,
+        cwd=ROOT,
+    )
+    line = next((line for line in done.stdout.splitlines() if line.startswith("{")), "{}")
+    return json.loads(line), done.returncode
+
+
+@pytest.fixture(scope="module")
+def here():
+    """The digest of all rows as this process makes them."""
+    return engines.digest(rhec.campaign(engines.scenarios(DRIVES), workers=1))
+
+
+@pytest.mark.parametrize("engine", ["dask", "ipyparallel"])
+def test_a_killed_worker_changes_no_bit(engine, here, tmp_path):
+    said, code = started(engine, DRIVES, "--kill", "--folder", tmp_path)
+    assert (code, said["rows"], said["failed"], said["killed"]) == (0, DRIVES, 0, 1)
+    assert said["digest"] == here
+
+
+def test_mpi_computes_the_same_bits_and_continues_after_a_killed_rank(here, tmp_path):
+    """All of an MPI job ends with one of its processes; what is done is kept."""
+    said, code = started("mpi", DRIVES, "--kill", "--folder", tmp_path)
+    assert code and not said and list(tmp_path.glob("*/*.parquet"))
+    said, code = started("mpi", DRIVES, "--folder", tmp_path)
+    assert (code, said["failed"], said["digest"]) == (0, 0, here)
+
+
+@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+def test_a_machine_compiles_each_loop_once(tmp_path):
+    """Its workers wait for the one that compiles."""
+    for name in ("cc", "c++"):
+        log = f'#!/bin/sh\necho "$PWD" >> {tmp_path}/log\nexec "$(command -v {name})" "$@" -O0\n'
+        (tmp_path / name).write_text(log)
+        (tmp_path / name).chmod(0o700)
+    compilers = dict(CC=f"{tmp_path}/cc", CXX=f"{tmp_path}/c++", RHEC_CACHE=f"{tmp_path}/cache")
+    started("dask", DRIVES, **compilers)
+    folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
+    libraries = [library for library, _ in folders]
+    assert libraries and len(libraries) == len({*libraries})
+
+
+LETHAL = """
+import dataclasses, os, signal, sys
+import engines, rhec
+from distributed import Client
+
+class Lethal(rhec.Path):
+    def poses(self, s):
+        if os.getpid() != HOME:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().poses(s)
+
+HOME = os.getpid()
+if __name__ == "__main__":
+    track = rhec.Path.racetrack(30.0, 7.8)
+    base = rhec.Scenario(estimator="ekf", duration_s=6.0)
+    good = [dataclasses.replace(base, seed=seed) for seed in range(20)]
+    path = Lethal(track.segments, track.length_m, True)
+    with engines.dask_cluster() as (address, _), Client(address) as client:
+        table = rhec.campaign(
+            [*good, dataclasses.replace(base, path=path)], workers=client.get_executor(pure=False)
+        )
+    # A whole number is a float in a column with a failed run, so the digests differ.
+    expected = rhec.campaign(good)["mean_error_m"]
+    assert [*table["mean_error_m"][:20]] == [*expected], table
+    print("errors:", *table["error"][table["error"] != ""])
+"""
+
+
+def test_a_run_that_kills_every_worker_of_dask_is_a_row_with_its_error(tmp_path):
+    need("dask")
+    (tmp_path / "lethal.py").write_text(LETHAL)
+    done = subprocess.run(
+        [sys.executable, "lethal.py"],
+        env=os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests"),
+        capture_output=True,
+        text=True,
+        timeout=550,
+        cwd=tmp_path,
+    )
+    assert "errors: BrokenProcessPool: every worker that ran it died\n" in done.stdout, done.stderr
+
+
+STUDY = """
+import os
+from notebooks.studies.parallel import map_runs
+import engines
+
+def process_and_error(run):
+    return os.getpid(), run.metrics["mean_error_m"]
+
+if __name__ == "__main__":
+    with engines.dask_cluster() as (address, nannies):
+        os.environ["RHEC_DASK"] = address
+        found = map_runs(process_and_error, engines.scenarios(900))
+        workers = {process.pid for process in engines.children_of(nannies)}
+        assert {process for process, _ in found} <= workers, "it ran elsewhere"
+    print(repr([error for _, error in found]))
+"""
+
+
+def test_the_studies_run_on_the_cluster_that_one_variable_names(tmp_path):
+    need("dask")
+    (tmp_path / "study.py").write_text(STUDY)
+    done = subprocess.run(
+        [sys.executable, "study.py"],
+        env=os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests:{tmp_path}"),
+        capture_output=True,
+        text=True,
+        timeout=550,
+        cwd=tmp_path,
+    )
+    expected = rhec.campaign(engines.scenarios(900), workers=1)["mean_error_m"]
+    assert done.stdout.strip() == repr([*expected]), done.stderr

@@ -1,0 +1,27 @@
+"""A scenario's estimator on the measurements of a run is the estimator that drove it."""
+
+import numpy as np
+import pytest
+
+import rhec
+from rhec.simulation.columns import ESTIMATE
+from rhec.simulation.offline import columns, run_estimator, sigma_of_traction
+
+SENSORS = (), ("gyro",), ("heading",), ("gyro", "heading")
+CASES = [("ekf", ()), ("oracle", ()), *(("rhe", sensors) for sensors in SENSORS)]
+
+
+@pytest.mark.parametrize(("estimator", "sensors"), CASES)
+def test_offline_it_estimates_what_it_did_in_the_loop(estimator, sensors):
+    run = rhec.simulate(rhec.Scenario(estimator=estimator, sensors=sensors, duration_s=20.0))
+    offline = run_estimator(run.scenario, run, "estimate")["estimate"]
+    np.testing.assert_array_equal(offline, columns(run, ESTIMATE))
+
+
+def test_a_heading_does_not_change_how_wide_the_band_of_the_traction_is():
+    """A yaw that is known better makes no traction less sure; once the band was 4 times as wide."""
+    alone, with_heading = (
+        sigma_of_traction(rhec.simulate(rhec.Scenario(sensors=sensors, duration_s=20.0)))["mu"]
+        for sensors in ((), ("heading",))
+    )
+    assert np.median(with_heading / alone) == pytest.approx(1.0, abs=0.1)
