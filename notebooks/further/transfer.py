@@ -4,9 +4,9 @@ Each log is taken at 5 Hz, with white noise on its positions and a wrong first y
 noise seed; the first metres do not count (`notebooks.further.recorded.scores`). All estimators are
 tuned without truth, with a noise seed that no trial has: on the same log, or on the others, in the
 geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
-(`tuning.SLIP`). Its rivals are the EKFs of `rhec.logs.rivals`, with (μ, κ) and with five parameters
-of centres of rotation, whose noise has the form of the RHE's. They are tuned by the likelihood of
-their innovations, with the same number of evaluations for each unknown.
+(`tuning.SLIP`). Its rivals are the EKFs of `notebooks.further.recorded.rivals`, with (μ, κ) and
+with five parameters of centres of rotation, whose noise has the form of the RHE's. They are tuned
+by the likelihood of their innovations, with the same number of evaluations for each unknown.
 
     python -m notebooks.further.transfer [FOLDER [SEEDS]]
 
@@ -22,11 +22,10 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from notebooks.further.recorded import scores
+from notebooks.further.recorded import rivals, scores
 from notebooks.studies.statistics import over_seeds
 from notebooks.studies.tables import interval_text
 from rhec import paper
-from rhec.logs import rivals
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare
 from rhec.logs.replay import predictor
