@@ -132,7 +132,7 @@ $(READY): environment.txt pyproject.toml
 
 # A notebook runs again after an edit of its cells, of the package, or of a module beside it.
 PACKAGE := environment.txt $(wildcard data/*.csv data/*.npz data/*.parquet) \
-  $(shell find rhec notebooks -name '*.py' -o -name '*.toml' -o -name '*.[ch]' | sort)
+  $(shell find rhec notebooks -name '*.py' -o -name '*.csv' -o -name '*.toml' -o -name '*.[ch]' | sort)
 $(EXECUTED): build/notebooks/%.ipynb: notebooks/%.ipynb $(PACKAGE) | $(READY)
 	@$(PY) -m notebooks.run $< $(if $(filter-out $<,$?),,--if-edited)
 

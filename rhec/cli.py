@@ -2,7 +2,8 @@
 
 Its options are made of signatures and docstrings, and of the parameters of a Scenario, so each text
 stands once. A mistake in an argument gives one sentence and exit code 2, a failure of the system
-one sentence and 1, Ctrl-C one line and 130; `rhec doctor` returns 1 where it found something.
+one sentence and 1, Ctrl-C one line and 130; `rhec log` returns 1 for a log that is refused, and
+with --check where it found something.
 """
 
 import functools
@@ -33,8 +34,13 @@ _ABOUT = (
 _PROJECT = Path(__file__).resolve().parents[1]
 # Parameters of a Scenario whose values are objects, which a shell cannot write.
 _OBJECTS = ("terrain", "path", "faults", "controller")
-_OF_MODELS = ("model", "delays_s")  # likewise
-_ROBOT, _THE_REPLAY = (Group(name, sort_key=1) for name in ("the robot", "the replay"))
+_ROBOT = Group("the robot", sort_key=1)
+# What commands of an earlier version are called now.
+_NOW = {
+    "doctor": "rhec log FILE --check",
+    "calibrate": "rhec log FILE --calibrate",
+    "replay": "rhec log FILE --output FOLDER",
+}
 # The metrics with printed means.
 _PRINTED = ["settling_time_s", "mean_error_m", "mean_error_true_m", "violations", "violations_true"]
 _INSTALL_COMPLETION = "--install-completion"
@@ -55,8 +61,11 @@ def main(words: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if words is None else list(words)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # its encoding may lack letters of the help
+    if words and words[0] in _NOW:
+        return _said(f"{words[0]} is no command; it is now {_NOW[words[0]]}", 2)
     with warnings.catch_warnings():
         # A warning is a sentence for the user, who has no use for its place in the source.
+        warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy about numbers that are missing
         warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
         try:
             return _app(words)(words) or 0
@@ -341,46 +350,60 @@ def _reading():
     return options
 
 
-def _log_of(file, given):
+def _log_of(files, given):
     """The log of the command line."""
     pairs = [pair.partition("=") for pair in given.get("columns", ())]
     for ours, equals, _ in pairs:
         if not equals:
             raise ValueError(f"--columns was {ours!r}; it should be OURS=THEIRS, as x_m=easting")
     columns = {ours: theirs for ours, _, theirs in pairs} or None
-    return rhec.logs.read(file, **_given_to(rhec.logs.read, given) | dict(columns=columns))
+    path = files[0] if len(files) == 1 else list(files)
+    return rhec.logs.read(path, **_given_to(rhec.logs.read, given) | dict(columns=columns))
 
 
-def _read(file, given):
-    """The log of the command line; what the reader found in it is printed."""
-    log = _log_of(file, given)
-    # Not to the standard output, which --json keeps for programs.
-    for name, value in log.attrs["inferred"].items():
-        print(f"found {name}: {value}", file=sys.stderr)
-    return log
-
-
-def log(file: str, /, *, output: Path | None = None, overwrite: _Flag = False, **given: Any):
+def log(
+    *files: str,
+    check: _Flag = False,
+    details: _Flag = False,
+    as_json: _Json = False,
+    output: Path | None = None,
+    overwrite: _Flag = False,
+    **given: Any,
+):
     """Say what a recorded log tells of its robot, and whether to trust it.
 
-    For example: rhec log drive.csv
+    For example: rhec log drive.csv --calibrate --output drive
 
     Args:
-        file: A .csv, .parquet or bag of a recorded robot.
-        output: Folder for summary.txt, comparison.csv, log.png, robot.yaml for ROS, and the tables
-            and paths of rhec replay.
+        files: A .csv, .parquet or bag of a recorded robot; or several of one drive by one clock,
+            such as one of the positions and one of the wheels.
+        check: Only find what is wrong with the log; the exit code is 1 where something is.
+        details: Print all else that is known: what was taken for what, parameters, calibration.
+        as_json: Print all of it as JSON.
+        output: Folder for the page, log.png, robot.yaml for ROS, tables and paths of the estimates,
+            and the estimator that was judged as C in the folder C.
         overwrite: Replace files of these names.
     """
-    from rhec.logs.outputs import FILES, FILES_OF_SUMMARY, write_summary
+    from rhec.logs.outputs import FILES, write_summary
 
+    if not files:
+        raise ValueError("rhec log had no file; it should be rhec log FILE")
     if output:
-        _refuse_tables("output", output, overwrite, (*FILES, *FILES_OF_SUMMARY))
-    summary = rhec.log(_log_of(file, given), **_given_to(rhec.log, given))
-    print(summary)
+        _refuse_tables("output", output, overwrite, FILES)
+    recorded = _log_of(files, given)
+    if check:
+        diagnosis = rhec.doctor(recorded, **_given_to(rhec.doctor, given))
+        print(diagnosis.to_json() if as_json else diagnosis)
+        return 0 if diagnosis.ok else 1
+    summary = rhec.log(recorded, **_given_to(rhec.log, given))
+    print(summary.to_json() if as_json else summary)
+    if details and not as_json:
+        print(f"\n{summary.details}")
     if summary.samples is None:
         return 1
     if output:
         write_summary(summary, output)
+        rhec.export(summary, output / "C")
     return 0
 
 
@@ -393,112 +416,22 @@ def _refuse_tables(option, folder, overwrite, files):
         raise ValueError(f"--{option} was {str(folder)!r}, which is no folder")
 
 
-def doctor(file: str, /, *, as_json: _Json = False, **given: Any):
-    """Find what is wrong with a recorded log.
-
-    For example: rhec doctor drive.csv
-
-    Args:
-        file: A .csv, .parquet or bag of a recorded robot.
-        as_json: Print the findings as JSON.
-    """
-    diagnosis = rhec.doctor(_read(file, given), **_given_to(rhec.doctor, given))
-    print(diagnosis.to_json() if as_json else diagnosis)
-    return 0 if diagnosis.ok else 1
-
-
-def calibrate(
-    file: str,
-    /,
-    *,
-    yaml: Path | None = None,
-    as_json: _Json = False,
-    overwrite: _Flag = False,
-    **given: Any,
-):
-    """Estimate noise, slip and lever arm from a recorded log.
-
-    For example: rhec calibrate drive.csv --yaml robot.yaml
-
-    Args:
-        file: A .csv, .parquet or bag of a recorded robot.
-        yaml: Write what ROS takes.
-        as_json: Print arguments of rhec.replay only.
-        overwrite: Replace files of these names.
-    """
-    if yaml:
-        _refuse_output("yaml", yaml, overwrite)
-    found = rhec.calibrate(_read(file, given), **_given_to(rhec.calibrate, given))
-    print(json.dumps(dict(found)) if as_json else found)
-    print(*found.remarks, sep="\n", end="\n" if found.remarks else "", file=sys.stderr)
-    if yaml:
-        with replacing(yaml) as unfinished:
-            unfinished.write(found.yaml.encode())
-
-
-def replay(
-    file: str,
-    /,
-    *,
-    folder: Path | None = None,
-    calibrated: _Flag = False,
-    overwrite: _Flag = False,
-    estimator: str = "rhe",
-    **given: Any,
-):
-    """Run an estimator on a recorded log.
-
-    For example: rhec replay drive.csv --estimator ekf --folder estimates
-
-    Args:
-        file: A .csv, .parquet or bag of a recorded robot.
-        folder: Folder of the tables; NAME-replay, of a file NAME.csv, by default.
-        calibrated: First run rhec.calibrate on the log, and take what it finds.
-        overwrite: Replace files of these names.
-        estimator: "rhe", "ekf", …: see help(rhec.replay).
-    """
-    from rhec.logs.outputs import FILES, write_estimates
-    from rhec.logs.replay import ESTIMATOR_FIELDS
-
-    folder = folder or Path(f"{Path(file).stem}-replay")
-    _refuse_tables("folder", folder, overwrite, FILES)
-    arguments = _given_to(rhec.replay, given)
-    arguments |= {name: given[name] for name in ESTIMATOR_FIELDS if name in given}
-    log = _read(file, given)
-    if calibrated:
-        found = rhec.calibrate(log, **_given_to(rhec.calibrate, given))
-        print(found)
-        arguments = found | arguments
-    estimates = rhec.replay(log, estimator, **arguments)
-    write_estimates(estimates, folder)
-    for remark in estimates.attrs["remarks"]:
-        print(remark)
-    print(f"{len(estimates)} estimates in {folder}")
-
-
-def _replay_options():
-    from rhec.logs.replay import ESTIMATOR_FIELDS
-
-    # Of the other parameters a replay takes none, and of these it has defaults of its own.
-    others = {*_keywords(rhec.Scenario)} - {*ESTIMATOR_FIELDS}
-    fields = _options_of(rhec.Scenario, _group_of, others, with_defaults=False)
-    own = _options_of(rhec.replay, _THE_REPLAY, _OF_MODELS)
-    return [*_reading(), *own, *fields]
-
-
 # The robot, and the checkout
 
 
-def export(folder: Path, /, *, world: _World = "default", **given: Any):
-    """Write estimator and controller as C99.
+def export(
+    folder: Path, /, *, world: _World = "default", estimator_only: _Flag = False, **given: Any
+):
+    """Write estimator and controller as C99; of a recorded log it is rhec log FILE --output FOLDER.
 
     For example: rhec export code --prediction-horizon 10
 
     Args:
         folder: A new or empty folder, or an earlier export.
+        estimator_only: Leave out the controller and its path.
         world: Name of a simulated world in rhec.WORLDS, whose parameters the options below change.
     """
-    folder = rhec.export(_scenario_of(world, given), folder)
+    folder = rhec.export(_scenario_of(world, given), folder, estimator_only=estimator_only)
     print(f"{folder}: its README.txt says how to go on")
 
 
@@ -545,9 +478,6 @@ _COMMANDS = {
     simulate: _fields,
     campaign: list,
     log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
-    doctor: lambda: [*_reading(), *_options_of(rhec.doctor, _ROBOT)],
-    calibrate: lambda: [*_reading(), *_options_of(rhec.calibrate, _ROBOT, _OF_MODELS)],
-    replay: _replay_options,
     export: _fields,
     lab: list,
 }

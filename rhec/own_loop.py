@@ -27,7 +27,7 @@ def RHE(*, model: Model | None = None, **options: Any) -> rhe.RHE:
     Args:
         model: The robot, a rhec.Model. None: the paper's robot.
         options: With a model those of `rhec.core.estimator.rhe.RHE`: dt, horizon, sigma_v, sigma_w,
-            guess, sigma_guess, arrival_mean and noise_in_window. Without one those of
+            guess, sigma_guess, arrival_mean, noise_in_window and outliers. Without one those of
             `rhec.tracked_robot.own_loop.RHE`: dt, horizon, process_noise, sigma_w, sigma_v,
             speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading,
             track_width_m, yaw_drift and guess.

@@ -79,7 +79,7 @@ def log_overview(summary):
     figure, panels = plt.subplot_mosaic(mosaic, figsize=size, width_ratios=(2, 3))
     for symbol, name in (("κ", "kappa"), ("μ", "mu")):
         _draw_traction_of_log(panels[symbol], summary, symbol, name)
-    _draw_yaw(panels["yaw"], summary.comparison.samples, summary.samples)
+    _draw_yaw(panels["yaw"], summary.way, summary.samples)
     _draw_path(panels["path"], summary.samples)
     for symbol in ("κ", "μ"):
         panels[symbol].sharex(panels["yaw"])
@@ -103,7 +103,7 @@ def _broken(samples, *columns):
 def _draw_traction_of_log(axes, summary, symbol, name):
     """Draw κ or μ: on the way with its band, smoothed, and the regression over the whole log."""
     hat = f"{name}_hat"
-    t_s, value, sigma = _broken(summary.comparison.samples, "t_s", hat, f"sigma_{name}")
+    t_s, value, sigma = _broken(summary.way, "t_s", hat, f"sigma_{name}")
     low, high = np.clip([value - 2 * sigma, value + 2 * sigma], 0, 1)
     axes.fill_between(t_s, low, high, color=SKY, alpha=0.45, linewidth=0, label="± 2 σ")
     axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.7, label="on the way")

@@ -1,8 +1,9 @@
-"""The acceptance table of the judge of an RHE: faults of sensors and jumps of a parameter.
+"""The acceptance table of the judge of an RHE: faults of sensors, and what a robot may do.
 
-Each row spoils the same drives in one way. The RHE and the EKF have the same model, noises, first
-guess and measurements. A row tells how many drives are lost, how far the estimate was off, and when
-it was back for good.
+Each row spoils the same drives in one way, or lets the robot do something sudden: jump with its
+inputs or a parameter, stand still, be turned round. The RHE and the EKF have the same model,
+noises, first guess and measurements. A row tells how many drives are lost, how far the estimate was
+off, and when it was back for good.
 """
 
 import functools
@@ -27,6 +28,7 @@ DT_S = 0.2
 LATER = (20, 100)  # a fault that is not at the first sample begins between these samples
 SAMPLES = 280  # no fault lasts until 20 s before the end
 LONG = 25  # samples of a long fault, 5 s
+NOISY = 130  # samples of a receiver that is noisier, 26 s, and of a robot that stands
 HELD = 60  # samples of a receiver that holds its position
 PATIENCE = 4  # the window restarts at the fourth sample of those that follow each other
 LATER_BACK = 10  # samples, 2 s: what two restarts cost beside an EKF that believes all
@@ -56,7 +58,7 @@ class Estimator(NamedTuple):
 class Robot(NamedTuple):
     """A robot, and the two estimators of its drives."""
 
-    drives: Callable  # (n, jump of the first parameter) -> Drives
+    drives: Callable  # (seeds, what happens) -> Drives
     estimators: Callable  # (judge) -> {"RHE": Estimator, "EKF": Estimator}
     lost: float  # [m] or [1] of a level: farther off is lost, nearer is back
     fastest: float  # [m] in one sample
@@ -142,11 +144,11 @@ def run(estimator, drives):
 
 
 @functools.cache
-def paper_drives(n, jump=None):
-    """Drives in the default world; with a jump of a parameter those of a simpler robot."""
-    if jump is not None:
-        return simulated_drives("paper", n, jump)
-    scenarios = [rhec.Scenario(duration_s=DT_S * SAMPLES, seed=seed) for seed in range(n)]
+def paper_drives(seeds, event=None):
+    """Drives in the default world; where something happens those of a simpler robot."""
+    if event is not None:
+        return simulated_drives("paper", seeds, event)
+    scenarios = [rhec.Scenario(duration_s=DT_S * SAMPLES, seed=seed) for seed in seeds]
     logs = [run.log[:SAMPLES] for run in rhec.simulate(scenarios)]
     z, pose = (np.array([log[columns] for log in logs]) for columns in (MEASUREMENTS, POSE))
     return Drives(z, pose[..., :2])
@@ -160,6 +162,20 @@ def unicycle(x, u, p, cos=ca.cos, sin=ca.sin, tan=ca.tan, join=ca.vertcat):
     return join(p[0] * u[0] * cos(x[2]), p[0] * u[0] * sin(x[2]), p[1] * u[1])
 
 
+def gentle(k, seed):
+    """A turn that changes slowly."""
+    return 0.25 * np.sin(0.07 * k + seed)
+
+
+def jumping(size):
+    """A turn to one side and the other, a second each."""
+
+    def turn(k, seed):
+        return size * (-1) ** ((k + seed) // 5)
+
+    return turn
+
+
 class Kind(NamedTuple):
     """A robot with the inputs speed and turn, whose true parameters are drawn from `p_range`."""
 
@@ -171,40 +187,73 @@ class Kind(NamedTuple):
     n_p: int = 2
     speed: float = 1.0
     change: float = 0.3  # of the speed
+    turn: Callable = gentle  # (sample, seed) -> the second input
+    sigma_v: tuple = SIGMA_V
+    sigma_w: float = 0.005
+    heading: bool = True  # whether its Model names it
+    sigma_held: dict = {}  # how inputs change in a sample that does not measure them
 
 
+BICYCLE = Kind(bicycle, {"offset": (-0.1, 0.1)}, (0.0,), (0.08,), (-0.08, 0.08), 1)
+UNICYCLE = Kind(unicycle, {"mu": (0, 1), "kappa": (0, 1)}, (0.8,) * 2, (0.15,) * 2)
+FINE = dict(change=0.0, sigma_v=(0.02, 0.02, 0.005, 0.005), sigma_w=0.002)
 KINDS = {
-    "bicycle": Kind(bicycle, {"offset": (-0.1, 0.1)}, (0.0,), (0.08,), (-0.08, 0.08), 1),
-    "unicycle": Kind(unicycle, {"mu": (0, 1), "kappa": (0, 1)}, (0.8,) * 2, (0.15,) * 2),
+    "bicycle": BICYCLE,
+    "unicycle": UNICYCLE,
     "paper": Kind(unicycle, {}, speed=0.5, change=0.0),
+    "jumping bicycle, 2 m/s": BICYCLE._replace(
+        speed=2.0, turn=jumping(0.5), sigma_held={"turn": 1.0}, **FINE
+    ),
+    "jumping bicycle, 3 m/s": BICYCLE._replace(
+        speed=3.0, turn=jumping(0.5), sigma_held={"turn": 1.0}, **FINE
+    ),
+    "jumping bicycle, 4 m/s": BICYCLE._replace(
+        speed=4.0, turn=jumping(0.3), sigma_held={"turn": 0.6}, **FINE
+    ),
+    "jumping unicycle, 2 m/s": UNICYCLE._replace(
+        speed=2.0, turn=jumping(3.0), sigma_held={"turn": 6.0}, **FINE
+    ),
 }
+TURNED = "turned round"
+STANDS = "stands 26 s"
 
 
 @functools.cache
-def simulated_drives(name, n, jump=None):
-    """Drives of a robot; its first parameter falls from 0.85 by `jump` at sample 60."""
+def simulated_drives(name, seeds, event=None):
+    """Drives of a robot, in which it is turned round, stands, or its first parameter jumps.
+
+    A number is a jump, at sample 60: the parameter falls from 0.85 by so much.
+    """
     kind = KINDS[name]
+    n = len(seeds)
     z = np.zeros((n, SAMPLES, 4))
     places = np.empty((n, SAMPLES, 2))
-    for seed in range(n):
+    first = np.full(n, 60)
+    for i, seed in enumerate(seeds):
         rng = np.random.default_rng([seed, 5])
         p = rng.uniform(*kind.p_range, kind.n_p)
-        if jump is not None:
-            p[0] = 0.85
         x = rng.normal(size=3) * (0.3, 0.3, 0.2)
+        if event in (TURNED, STANDS):
+            first[i] = np.random.default_rng([seed, 9]).integers(*LATER)
+        elif event is not None:
+            p[0] = 0.85
         for k in range(SAMPLES):
             if k:
-                p[0] -= jump if jump is not None and k == 60 else 0
-                speed = kind.speed + kind.change * np.sin(0.1 * k)
-                u = np.array([speed, 0.25 * np.sin(0.07 * k + seed)])
+                u = np.array([kind.speed + kind.change * np.sin(0.1 * k), kind.turn(k, seed)])
+                if event == TURNED:
+                    x[2] += np.pi * (k == first[i])
+                elif event == STANDS:
+                    u = u * (not first[i] <= k < first[i] + NOISY)
+                elif event is not None:
+                    p[0] -= event * (k == first[i])
                 for _ in range(10):
                     slope = kind.f(x, u, p, np.cos, np.sin, np.tan, lambda *rows: np.array(rows))
                     x = x + DT_S / 10 * slope
-                z[seed, k, 2:] = u
-            z[seed, k, :2] = places[seed, k] = x[:2]
-        z[seed, 0, 2:] = z[seed, 1, 2:]
-        z[seed] += rng.normal(size=(SAMPLES, 4)) * SIGMA_V
-    return Drives(z, places, np.full(n, 60), np.full(n, 60))
+                z[i, k, 2:] = u
+            z[i, k, :2] = places[i, k] = x[:2]
+        z[i, 0, 2:] = z[i, 1, 2:]
+        z[i] += rng.normal(size=(SAMPLES, 4)) * kind.sigma_v
+    return Drives(z, places, first, first + (NOISY if event == STANDS else 0))
 
 
 @functools.cache
@@ -216,6 +265,8 @@ def model_of(name):
         parameters=kind.parameters,
         outputs=("x", "y", "speed", "turn"),
         f=kind.f,
+        heading="yaw" if kind.heading else None,
+        sigma_held=kind.sigma_held,
     )
 
 
@@ -224,7 +275,7 @@ def settings_of(name):
     kind = KINDS[name]
     guess = (0.0, 0.0, 0.0, *kind.guess)
     sigma_guess = (0.3, 0.3, 0.2, *kind.sigma)
-    noises = dict(sigma_v=SIGMA_V, sigma_w=(0.005,) * (3 + kind.n_p))
+    noises = dict(sigma_v=kind.sigma_v, sigma_w=(kind.sigma_w,) * (3 + kind.n_p))
     return noises | dict(guess=guess, sigma_guess=sigma_guess)
 
 
@@ -244,9 +295,10 @@ def tank_model():
 
 
 @functools.cache
-def tank_drives(n, jump=None):
+def tank_drives(seeds, jump=None):
     """A tank with an inflow of 0.2 and a leak of 0.1, which grows by `jump` at sample 60."""
-    rng = np.random.default_rng(6)
+    n = len(seeds)
+    rng = np.random.default_rng([6, *seeds[:1]])
     leak = 0.1 + (jump or 0) * (np.arange(SAMPLES) >= 60)
     level = 1 + np.cumsum(0.2 - leak)
     truth = np.stack([level, np.full(SAMPLES, 0.2)], axis=-1)
@@ -262,15 +314,16 @@ def tank_estimators(judge=ANY):
 
 def _simulated(name):
     drives = functools.partial(simulated_drives, name)
-    # Half a wheelbase; the fastest drives 1.3 m/s.
-    return Robot(drives, functools.partial(simulated_estimators, name), 0.65, 0.26)
+    fastest = DT_S * (KINDS[name].speed + KINDS[name].change)
+    # Half a wheelbase.
+    return Robot(drives, functools.partial(simulated_estimators, name), 0.65, fastest)
 
 
 ROBOTS = {
     f"paper, {noise}": Robot(paper_drives, functools.partial(paper_estimators, noise), 0.5, 0.1)
     for noise in ("printed", "consistent")
 }
-ROBOTS |= {name: _simulated(name) for name in ("bicycle", "unicycle")}
+ROBOTS |= {name: _simulated(name) for name in KINDS if name != "paper"}
 ROBOTS["tank"] = Robot(tank_drives, tank_estimators, 0.5, 0.0)
 
 # The faults: (z, places, first bad sample k, random numbers) -> the last bad sample. They change z
@@ -357,6 +410,27 @@ def left_dead(width_m=0.5):
     return spoil
 
 
+def missing(n, columns=slice(2, 4)):
+    """Inputs, all or these, that are not measured for so long."""
+
+    def spoil(z, places, k, rng):
+        z[k : k + n, columns] = np.nan
+        return k + n - 1
+
+    return spoil
+
+
+def noisy(size_m, radius=True):
+    """Positions of a receiver that is noisier for 26 s: each so far off, or white noise."""
+
+    def spoil(z, places, k, rng):
+        off = _away(rng, size_m, NOISY) if radius else size_m * rng.normal(size=(NOISY, 2))
+        z[k : k + NOISY, :2] += off
+        return k + NOISY - 1
+
+    return spoil
+
+
 # Those that may begin at the first sample, too
 WILD = {
     f"{n} wild of {size:g} m{', alike' * alike}": wild(n, size, alike)
@@ -389,6 +463,11 @@ FAULTS |= {
     "encoders stuck 5 s": stuck(slice(2, 4)),
     "left encoder dead 5 s": left_dead(),
 }
+MISSING = {f"inputs missing {0.2 * n:g} s": missing(n) for n in (1, 3, 10, 25)}
+MISSING |= {f"turn missing {0.2 * n:g} s": missing(n, 3) for n in (3, 10)}
+NOISES = {f"positions {size:g} m off, 26 s": noisy(size) for size in (0.1, 0.3, 1.0)}
+NOISES |= {f"white noise {size:g} m, 26 s": noisy(size, False) for size in (0.1, 0.6)}
+SPOILED = WILD | FAULTS | MISSING | NOISES
 JUMPS = {"paper": (0.2, 0.4, 0.6), "unicycle": (0.2, 0.4, 0.6), "tank": (0.1, 0.2, 0.35)}
 
 
@@ -397,60 +476,69 @@ class Case(NamedTuple):
 
     robot: str
     when: str
-    fault: str  # of WILD or FAULTS, "none", or the size of a parameter's "jump"
+    fault: str  # of SPOILED, "none", TURNED, STANDS, or the size of a parameter's "jump"
 
 
 def cases():
     """All rows of the table."""
     rows = []
     for robot in ROBOTS:
+        jumps = robot.startswith("jumping")
+        faults = MISSING | NOISES if jumps else SPOILED
         if robot != "tank":
             rows += [Case(robot, "later", "none")]
-            rows += [Case(robot, "first", fault) for fault in WILD]
+            rows += [Case(robot, "first", fault) for fault in ({} if jumps else WILD)]
             # A bicycle has no left encoder.
-            names = [name for name in WILD | FAULTS if robot != "bicycle" or "left" not in name]
+            names = [name for name in faults if robot != "bicycle" or "left" not in name]
             rows += [Case(robot, "later", fault) for fault in names]
+            rows += [Case(robot, "later", event) for event in (TURNED, STANDS)]
         for jump in JUMPS.get(robot.split(",")[0], ()):
             rows.append(Case(robot, "later", f"parameter jumps by {jump}"))
     return rows
 
 
-def jump_of(case):
-    """By how much the parameter jumps, or None."""
-    return float(case.fault.split()[-1]) if case.fault.startswith("parameter") else None
+def event_of(case):
+    """What the robot does: TURNED, STANDS, or by how much its parameter jumps; or None."""
+    if case.fault.startswith("parameter"):
+        return float(case.fault.split()[-1])
+    return case.fault if case.fault in (TURNED, STANDS) else None
 
 
-def spoiled(case, n):
+def spoiled(case, seeds):
     """The Drives of a Case."""
     robot = ROBOTS[case.robot]
-    if jump_of(case) is not None:
-        return robot.drives(n, jump_of(case))
-    drives = robot.drives(n)
+    if event_of(case) is not None:
+        return robot.drives(seeds, event_of(case))
+    drives = robot.drives(seeds)
     z = drives.z.copy()
     places = drives.places.copy()
-    first = np.zeros(n, int)
-    last = np.zeros(n, int)
-    spoil = (WILD | FAULTS).get(case.fault, lambda z, places, k, rng: k)
-    for seed in range(n):
+    first = np.zeros(len(seeds), int)
+    last = np.zeros(len(seeds), int)
+    spoil = SPOILED.get(case.fault, lambda z, places, k, rng: k)
+    for i, seed in enumerate(seeds):
         rng = np.random.default_rng([seed, len(case.fault), 7])
-        first[seed] = 0 if case.when == "first" else rng.integers(*LATER)
-        last[seed] = spoil(z[seed], places[seed], first[seed], rng)
+        first[i] = 0 if case.when == "first" else rng.integers(*LATER)
+        last[i] = spoil(z[i], places[i], first[i], rng)
     return Drives(z, places, first, last)
 
 
-def moved_in_patience(case, drives):
+def moved_in_patience(case, drives, seeds):
     """How far a fault moves what is measured until the fourth sample, at which a window restarts.
 
     A wrong speed or parameter moves the robot from where it is predicted. Up to three wild samples
     move nothing; a burst of them is never followed.
     """
     robot = ROBOTS[case.robot]
-    if jump_of(case) is not None:
-        return PATIENCE * (robot.fastest or 1.0) * jump_of(case)
-    if "encoder" in case.fault:
+    if case.fault == TURNED:
+        return PATIENCE * 2 * robot.fastest
+    if case.fault == STANDS:
+        return 0.0
+    if event_of(case) is not None:
+        return PATIENCE * (robot.fastest or 1.0) * event_of(case)
+    if "encoder" in case.fault or "missing" in case.fault:
         return PATIENCE * robot.fastest
     if case.fault.startswith(("4 wild", "jump", "stuck", "held", "moved")) or case.when == "first":
-        clean = robot.drives(len(drives.z))
+        clean = robot.drives(seeds)
         return np.nanmax(np.linalg.norm((drives.z - clean.z)[..., :2], axis=-1)) + robot.fastest
     return 0.0
 
@@ -492,12 +580,12 @@ def estimators_of(robot):
     return ROBOTS[robot].estimators()
 
 
-def rows_of(case, n):
-    """The Rows of the RHE and of the EKF on n drives, and the allowance of `moved_in_patience`."""
-    drives = spoiled(case, n)
+def rows_of(case, seeds):
+    """The Rows of the RHE and of the EKF on these drives, and what `moved_in_patience` allows."""
+    drives = spoiled(case, seeds)
     estimators = estimators_of(case.robot)
     rows = [row_of(case, estimators[name], drives) for name in ("RHE", "EKF")]
-    return *rows, moved_in_patience(case, drives)
+    return *rows, moved_in_patience(case, drives, seeds)
 
 
 def breaches(rhe_row, ekf_row, moved):

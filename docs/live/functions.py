@@ -1,69 +1,115 @@
 """The CasADi Functions of the live page, and the C text of a run that is made from them.
 
-The sample is the one that `rhec.simulate` runs. Errors are the page's own expression, since its
-path is always the default racetrack, for which the closest point has a closed form.
+The sample is the one that `rhec.simulate` runs, for any path of up to so many segments and any soil
+on a grid of up to this size. Errors are counted from the closest point of the whole path, as
+`rhec.tracked_robot.path.Path.project` finds it.
 """
 
-from pathlib import Path
+import pathlib
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 
-from rhec import paper
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.c_text import generate_c
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS
+from rhec.simulation.parts import parts_of
+from rhec.tracked_robot.path import Path, advance, ahead_and_left
 
 __all__ = ["ERRORS", "MAX_SAMPLES", "argument_tables", "build_functions", "c_module", "c_text"]
+__all__ += ["with_segments"]
 
 MAX_SAMPLES = 1200  # of a run: four minutes
 # Outputs of the Function `errors`, in this order.
 ERRORS = ("error_m", "error_true_m", "left_m", "on_straight")
 # Arrays that hold one entry per sample; all others hold one entry.
 _LOGGED = ("memory", "noise", "row", "covariance", "errors")
-_LOOP_C = Path(__file__).parent / "loop.c"
+_SAME_M = 1e-9  # of two points whose distances differ by less, the first one counts as closest
+_LOOP_C = pathlib.Path(__file__).parent / "loop.c"
 
 
-def build_functions(scenario):
+def build_functions(scenario, n_segments, soil_shape):
     """Build the Functions that the page calls for the structure of a Scenario.
 
     Args:
-        scenario: A Scenario on the default racetrack.
+        scenario: The Scenario.
+        n_segments: Number of segments of each path that it may follow; see `with_segments`.
+        soil_shape: Shape of the grid of its soil.
 
     Returns:
         {name: Function}: sample (memory, noise, settings …) -> (memory, row, covariance), and
-        errors (row) -> ERRORS.
+        errors (row, segments, length_m) -> ERRORS.
     """
-    setup = closed_loop.set_up(scenario)
-    return dict(sample=closed_loop.build_sample(*setup.structure)["step"], errors=_build_errors())
+    _, settings = closed_loop.set_up(scenario).structure
+    world = closed_loop.world_of(scenario)
+    path = with_segments(world.path, n_segments)
+    world = world._replace(path=path, soil_shape=tuple(soil_shape))
+    loop = tuple(part.block for part in parts_of(scenario, world))
+    sample = closed_loop.build_sample(loop, settings)["step"]
+    return dict(sample=sample, errors=_build_errors(n_segments))
 
 
-def left_of_racetrack(x, y):
-    """Distance of (x, y) to the left of the default racetrack [m].
+def with_segments(path, n):
+    """The same closed Path of n segments: those that it lacks have no length, at its end."""
+    ends = np.tile(path.segments[0], (n - len(path.segments), 1))
+    ends[:, 0] = path.length_m
+    ends[:, 4] = 0.0
+    return Path(np.vstack([path.segments, ends]), path.length_m, path.closed)
 
-    The racetrack is the set of points at distance r from the segment c(a) = (a, r), 0 ≤ a ≤ L,
-    which joins the centres of both headlands. It is driven counterclockwise, so that its inside
-    is on the left: left = r - |(x, y) - c(clip(x, 0, L))|.
+
+def closest(x, y, segments, length_m):
+    """Where (x, y) is, seen from the closest point of the whole path, as CasADi expressions.
+
+    Args:
+        x, y: Place [m].
+        segments: (5, M) with columns (s, x, y, θ, c) as in `Path`.
+        length_m: Length of the path [m].
+
+    Returns:
+        Its distance [m], how far it is to the left of the path [m], and the curvature there.
     """
-    along = ca.fmin(ca.fmax(x, 0), paper.ROW_LENGTH_M)
-    radius = paper.HEADLAND_RADIUS_M
-    return radius - ca.sqrt((x - along) ** 2 + (y - radius) ** 2)
+    columns = ca.horzsplit(segments)
+    ends = [*(column[0] for column in columns[1:]), length_m]
+    best = ca.vertcat(np.inf, 0, 0)
+    for column, end in zip(columns, ends):
+        s, x_0, y_0, theta, c = ca.vertsplit(column)
+        ahead, left = ahead_and_left(x - x_0, y - y_0, theta, ca)
+        for place in _places(ahead, left, c, end - s):
+            x_p, y_p, theta_p = advance(0, 0, 0, c, place, ca)
+            along, across = ahead_and_left(ahead - x_p, left - y_p, theta_p, ca)
+            distance = ca.sqrt(along**2 + across**2)
+            found = ca.vertcat(distance, across, c)
+            best = ca.if_else(distance < best[0] - _SAME_M, found, best)
+    return ca.vertsplit(best)
 
 
-def _build_errors():
+def _places(ahead, left, c, length):
+    """Candidates for the closest point of a line or arc, as lengths from its beginning [m].
+
+    On an arc that is the angle about its centre, over its curvature, in [0, 2π): beyond its end
+    either end may be closer.
+    """
+    turns = c != 0
+    c = ca.if_else(turns, c, 1)
+    angle = ca.atan2(ca.fabs(c) * ahead, 1 - c * left)
+    angle = angle + 2 * np.pi * (angle < 0)
+    place = ca.if_else(turns, angle / ca.fabs(c), ahead)
+    return ca.fmin(ca.fmax(place, 0), length), 0
+
+
+def _build_errors(n_segments):
     """{row of the log} -> ERRORS; error_m is NaN where no position was measured."""
 
-    @casadi_function("errors", row=(len(COLUMNS), 1))
-    def errors(row):
+    @casadi_function("errors", row=(len(COLUMNS), 1), segments=(5, n_segments), length_m=(1, 1))
+    def errors(row, segments, length_m):
         c = SimpleNamespace(**dict(zip(COLUMNS, ca.vertsplit(row))))
         is_measured = (ca.fabs(c.x_meas_m) < np.inf) * (ca.fabs(c.y_meas_m) < np.inf)
-        error = ca.fabs(left_of_racetrack(c.x_meas_m, c.y_meas_m))
-        left = left_of_racetrack(c.x_m, c.y_m)
-        on_straight = (c.x_m >= 0) * (c.x_m <= paper.ROW_LENGTH_M)
+        error, _, _ = closest(c.x_meas_m, c.y_meas_m, segments, length_m)
+        error_true, left, curvature = closest(c.x_m, c.y_m, segments, length_m)
         measured = ca.if_else(is_measured, error, np.nan)
-        return dict(errors=ca.vertcat(measured, ca.fabs(left), left, on_straight))
+        return dict(errors=ca.vertcat(measured, error_true, left, curvature == 0))
 
     return errors
 

@@ -25,10 +25,30 @@ async function unpack(text) {
   return new Response(stream).arrayBuffer();
 }
 
+class Field { // a path, and where the soil around it lies
+  constructor(data) {
+    Object.assign(this, data);
+  }
+
+  on_path(s_m) { // the place at this distance from the path's beginning
+    const { path, path_step_m } = this;
+    const place = s_m / path_step_m;
+    const first = Math.floor(place);
+    const [a, b] = [first, first + 1].map(i => path.at(i % path.length));
+    return a.map((value, axis) => value + (place - first) * (b[axis] - value));
+  }
+
+  pose_on_path(s_m) {
+    const [[x, y], [u, v]] = [-1, 1].map(side => this.on_path(s_m + side * this.path_step_m));
+    return [...this.on_path(s_m), Math.atan2(v - y, u - x)];
+  }
+}
+
 class World { // noise, soils and sensor faults of the seeds
   constructor(data) {
     Object.assign(this, data);
     this.newest = {};
+    for (const turns in this.fields) this.fields[turns] = new Field(this.fields[turns]);
   }
 
   // Keep what was computed last of a kind: most moves of a slider change neither noise nor soil.
@@ -55,13 +75,19 @@ class World { // noise, soils and sensor faults of the seeds
   }
 
   // The slip field (2, grid) as the loop reads it, beyond its edge as on it; origin and size.
-  soil(seed, kind, patches, start_offset_m) {
-    return this.keep("soil", JSON.stringify([seed, kind, patches, start_offset_m]), async () => {
+  soil(seed, kind, patches, { turns, start_offset_m }) {
+    const key = JSON.stringify([seed, kind, patches, turns, start_offset_m]);
+    return this.keep("soil", key, async () => {
       const steps = new Uint16Array(await unpack((await load(`seed_${seed}`)).soils[kind]));
-      const { soil_shape: [n_x, n_y], loop_shape: [wide, long], cell_m } = this;
-      const margin = this.margin_m + Math.abs(start_offset_m);
-      const origin_m = this.lowest.map(low => low - margin);
-      const end_m = this.highest.map(high => high + margin);
+      const { soil_shape: [wide, long], cell_m } = this;
+      for (const apart of [1, long]) { // the data are differences along both axes
+        const begins = at => apart === 1 ? at % long === 0 : at % (wide * long) < long;
+        steps.forEach((step, at) => { if (!begins(at)) steps[at] = step + steps[at - apart]; });
+      }
+      const field = this.fields[turns];
+      const margin = field.margin_m + Math.abs(start_offset_m);
+      const origin_m = field.lowest.map(low => low - margin);
+      const end_m = field.highest.map(high => high + margin);
       const n = end_m.map((end, i) => Math.ceil((end - origin_m[i]) / cell_m) + 1);
       const slip = new Float64Array(2 * wide * long);
       for (let j = 0; j < long; j++) {
@@ -72,32 +98,19 @@ class World { // noise, soils and sensor faults of the seeds
           const y = origin_m[1] + cell_m * row;
           const patch = patches.findLast(([u, v, r]) => (x - u) ** 2 + (y - v) ** 2 <= r * r);
           for (let of = 0; of < 2; of++) {
-            const traction = this.traction_step * steps[(of * n_x + column) * n_y + row];
+            const traction = this.traction_step * steps[(of * wide + column) * long + row];
             slip[of + 2 * (i + wide * j)] = patch ? patch[3 + of] : traction;
           }
         }
       }
-      return { slip, origin_m, n };
+      return { field, slip, origin_m, n };
     });
   }
 
   traction({ slip, origin_m, n }, x, y) { // κ of the nearest cell
     const nearest = (value, axis) =>
       Math.max(0, Math.min(Math.round((value - origin_m[axis]) / this.cell_m), n[axis] - 1));
-    return slip[1 + 2 * (nearest(x, 0) + this.loop_shape[0] * nearest(y, 1))];
-  }
-
-  on_path(s_m) { // the place at this distance from the path's beginning
-    const { path, path_step_m } = this;
-    const place = s_m / path_step_m;
-    const first = Math.floor(place);
-    const [a, b] = [first, first + 1].map(i => path.at(i % path.length));
-    return a.map((value, axis) => value + (place - first) * (b[axis] - value));
-  }
-
-  pose_on_path(s_m) {
-    const [[x, y], [u, v]] = [-1, 1].map(side => this.on_path(s_m + side * this.path_step_m));
-    return [...this.on_path(s_m), Math.atan2(v - y, u - x)];
+    return slip[1 + 2 * (nearest(x, 0) + this.soil_shape[0] * nearest(y, 1))];
   }
 }
 
@@ -140,6 +153,10 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
 
   run(values, stream, soil, samples) {
     this.set(values);
+    this.field = soil.field;
+    this.at_segments.set(soil.field.segments);
+    this.at_period_m[0] = soil.field.period_m;
+    this.at_length_m[0] = soil.field.length_m;
     this.at_slip.set(soil.slip);
     this.at_origin_m.set(soil.origin_m);
     this.at_cell_m[0] = this.world.cell_m;
@@ -180,7 +197,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   desired(k, look_ahead_m) {
     const pace = Math.abs(this.get("mu_hat")(k) * this.get("nu_hat_mps")(k)) * this.world.dt_s;
     const from = this.get("s_m")(k) + look_ahead_m;
-    return this.piece("plan", k).map((_, i) => this.world.on_path(from + i * pace));
+    return this.piece("plan", k).map((_, i) => this.field.on_path(from + i * pace));
   }
 }
 

@@ -3,6 +3,7 @@
 
 const $ = id => document.getElementById(id);
 const page = { loops: [] };
+const NOISES = ["sigma_w", "sigma_v"]; // sliders of what an estimator assumes
 
 // From the controls to runs
 
@@ -11,21 +12,24 @@ const failed = error => {
   console.error(error);
 };
 
-// The process noise W of an estimator: printed, likelihood, or the sliders'.
-function sigma_w_of({ sigma_w }) {
-  const own = page.values.sigma_w; // of (x, y, θ, ν, μ, κ)
-  return sigma_w[$("noise").value] ?? own.slice(0, sigma_w.printed.length);
+// What an estimator assumes of noise, { sigma_w, sigma_v }: by a rule, or as the sliders say.
+function noise_of({ noises }) {
+  const { sigma_w, sigma_v } = page.values; // of (x, y, θ, ν, μ, κ), and of (x, y, ν, ω)
+  return noises[$("noise").value]
+    ?? { sigma_w: sigma_w.slice(0, noises.printed.sigma_w.length), sigma_v };
 }
 
 function values_of({ data }, fields) { // of the Scenario
-  return { ...page.world.defaults, ...page.values, ...fields, sigma_w: sigma_w_of(data) };
+  const turns = $("turns").value;
+  return { ...page.world.defaults, ...page.values, ...fields, ...noise_of(data), turns };
 }
 
 async function drive() {
   const { world, values, runs, patches } = page;
   const seed = Number($("seed").value);
   const samples = Math.round(values.duration_s / world.dt_s);
-  page.soil = await world.soil(seed, $("soil").value, patches, values.start_offset_m);
+  const where = { turns: $("turns").value, start_offset_m: values.start_offset_m };
+  page.soil = await world.soil(seed, $("soil").value, patches, where);
   let took = 0;
   for (const [i, { module, fields }] of runs.entries()) {
     const n = $("window").value;
@@ -77,10 +81,12 @@ function line_of(run, { data }) { // the line of Python that is this run
     ...run.fields,
     patches: page.patches,
     seed: Number($("seed").value),
-    process_noise: noise === "own" ? "prediction" : noise,
+    turns: $("turns").value,
+    process_noise: noise === "own" ? defaults.process_noise : noise,
+    sigma_w: defaults.sigma_w,
+    sigma_v: defaults.sigma_v,
+    ...noise === "own" && noise_of(data),
   };
-  delete fields.sigma_w;
-  if (noise === "own") fields.sigma_w = sigma_w_of(data);
   const words = Object.entries(fields)
     .map(([name, value]) => [name, python(value)])
     .filter(([name, value]) => value !== python(defaults[name]));
@@ -115,10 +121,10 @@ const sliders = () => document.querySelectorAll("#sliders input[type=range]");
 function slot({ field, place }) {
   const { fields } = page.runs[page.followed];
   if (field === "patch") return page.patches.length ? [page.patches.at(-1), place] : null;
-  if (field === "sigma_w") {
+  if (NOISES.includes(field)) {
     const data = page.loops[page.followed]?.data;
-    const sigma_w = data ? sigma_w_of(data) : page.values.sigma_w;
-    return place < sigma_w.length ? [sigma_w, place] : null;
+    const sigma = (data ? noise_of(data) : page.values)[field];
+    return place < sigma.length ? [sigma, place] : null;
   }
   const values = field in fields ? fields : page.values;
   return place ? [values[field], place] : [values, field];
@@ -172,13 +178,15 @@ function changed({ target }) {
   if (name === "scene") return choose(value);
   if (name === "moment") return ask(draw);
   if (name.startsWith("run-")) page.followed = Number(value);
-  if (field === "sigma_w" && $("noise").value !== "own") { // the sliders go on from what they show
-    const shown = sigma_w_of(page.loops[page.followed].data);
-    page.values.sigma_w = page.values.sigma_w.map((own, i) => shown[i] ?? own);
+  const is_noise = NOISES.includes(field);
+  if (is_noise && $("noise").value !== "own") { // the sliders go on from what they show
+    const shown = noise_of(page.loops[page.followed].data);
+    for (const of of NOISES)
+      page.values[of] = page.values[of].map((own, i) => shown[of][i] ?? own);
     $("noise").value = "own";
   }
   if (field) {
-    const [values, key] = field === "sigma_w" ? [page.values.sigma_w, place] : slot(target.dataset);
+    const [values, key] = is_noise ? [page.values[field], place] : slot(target.dataset);
     values[key] = kind === "log" ? Number((10 ** value).toPrecision(4)) : Number(value);
   }
   show();

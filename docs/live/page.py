@@ -8,6 +8,7 @@ structure of the loop. The page loads seeds and modules when they are first need
 """
 
 import base64
+import functools
 import gzip
 import json
 import multiprocessing
@@ -27,7 +28,7 @@ from docs.live.plants import plants_of
 from docs.site.content_policy import live_policy
 from rhec import paper
 from rhec.core._casadi.build import packed_size
-from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH
+from rhec.explorer.controls import CONTROLS, GROUPS, NEW_PATCH, PATCH, RULES
 from rhec.explorer.explorer import METRICS
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.columns import COLUMNS
@@ -38,7 +39,7 @@ from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
-__all__ += ["affine_memory", "seed_data", "write"]
+__all__ += ["TURNS", "affine_memory", "fields_of_turns", "functions_of", "seed_data", "write"]
 
 HERE = Path(__file__).parent
 REPORT = Path(__file__).resolve().parents[2] / "build/report"
@@ -51,6 +52,7 @@ SOILS = {  # of the project's worlds, and one of the story's that is the same ev
     "soft": WORLDS["soft"],
     "even": dict(mu_deviation=0.0, kappa_deviation=0.0),
 }
+TURNS = dict(CONTROLS["turns"].options)  # {label: value in Scenario}
 FAULTS = {  # the page's robots have GNSS and encoders alone
     name: of
     for name, of in CONTROLS["faults"].options
@@ -77,6 +79,7 @@ _FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_differe
 _START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
 # Settings of the loop that come with the soil.
 _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
+_OF_THE_PATH = ("segments", "period_m")
 
 
 def write(folder=REPORT):
@@ -116,15 +119,22 @@ def seed_data(seed):
     """Noise, soils and sensor faults of a seed, each array compressed, as text.
 
     noise: (MAX_SAMPLES, n) in steps of NOISE_STEP; soils: {name: (2, n_x, n_y)} in steps of
-    TRACTION_STEP, for a start _FARTHEST_START_M beside the path; faults: {name: (MAX_SAMPLES, n)}.
+    TRACTION_STEP, on a grid as large as any path needs, of which each reads the beginning, as
+    differences along both axes, which take half of the room; faults: {name: (MAX_SAMPLES, n)}.
     """
     noise = plant.draw_noise(seed, functions.MAX_SAMPLES) / NOISE_STEP
+    n_x, n_y = _soil_shape()
+    box = 0.0, (n_x - 1) * _cell_m(), 0.0, (n_y - 1) * _cell_m()
     soils = {}
     for name, statistics in SOILS.items():
-        scenario = Scenario(seed=seed, start_offset_m=_FARTHEST_START_M, **statistics)
-        soil = closed_loop.set_up(scenario).terrain
+        of = Scenario(seed=seed, **statistics)
+        means = of.mu_mean, of.kappa_mean
+        deviations = of.mu_deviation, of.kappa_deviation
+        soil = terrain.Terrain.random(seed, box, means, deviations, of.correlation_length_m)
         steps = np.round(np.stack([soil.mu, soil.kappa]) / TRACTION_STEP)
-        soils[name] = _packed(steps.astype(np.uint16))
+        # Differences and their sums are modulo 2^16.
+        apart = np.diff(np.diff(steps.astype(np.uint16), axis=1, prepend=0), axis=2, prepend=0)
+        soils[name] = _packed(apart.astype(np.uint16))
     streams = {
         name: _packed(fault_signals.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
         for name, fault in FAULTS.items()
@@ -155,8 +165,7 @@ def _module(own):
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     memory, directions = affine_memory(own)
-    sigma_w = {rule: noise.sigma_w for rule, noise in tuning.NOISES[scenario.estimator].items()}
-    built = functions.build_functions(scenario)
+    built = functions_of(scenario)
     text = functions.c_text(built)
     return dict(
         memory=_without_nan(memory),
@@ -164,11 +173,11 @@ def _module(own):
         settings={
             name: np.ravel(value, order="F").astype(float).tolist()
             for name, value in setup.settings.items()
-            if name in built["sample"].name_in() and name not in _OF_THE_SOIL
+            if name in built["sample"].name_in() and name not in _OF_THE_SOIL + _OF_THE_PATH
         },
         places=_places(setup),
         states=estimator_of(choice.estimator).states(choice),
-        sigma_w={name: sigma_w[name] for name in ("printed", "prediction")},
+        noises={rule: tuning.NOISES[scenario.estimator][rule]._asdict() for rule in RULES},
         line={name: value for name, value in own.items() if name != "faults"},
         faulty=bool(scenario.faults),
         wasm=_packed(wasm.module_of(text)),
@@ -218,8 +227,15 @@ def _world():
     start = Scenario()
     defaults = {field.name: getattr(start, field.name) for field in fields(start)}
     # The line of Python leaves out what has its default.
-    defaults |= dict(sigma_v=paper.SIGMA_V, faults=())
-    return _geometry() | dict(
+    defaults |= dict(faults=())
+    return dict(
+        fields=fields_of_turns(),
+        turns=TURNS,
+        cell_m=_cell_m(),
+        traction_step=TRACTION_STEP,
+        soil_shape=_soil_shape(),
+        rules=RULES,
+        default_rule=tuning.DEFAULT_RULE,
         dt_s=paper.DT_S,
         max_samples=functions.MAX_SAMPLES,
         tolerance_m=paper.TOLERANCE_M,
@@ -243,26 +259,54 @@ def _world():
     )
 
 
-def _geometry():
-    """The path, and the grids of soils."""
-    setup = closed_loop.set_up(Scenario(start_offset_m=0.0))
-    farthest = closed_loop.set_up(Scenario(start_offset_m=_FARTHEST_START_M)).terrain
+@functools.cache
+def _setups():
+    """{turns: Setup} of the drives that need the most soil."""
+    drives = [Scenario(turns=of, start_offset_m=_FARTHEST_START_M) for of in TURNS.values()]
+    return {drive.turns: closed_loop.set_up(drive) for drive in drives}
+
+
+def _soil_shape():
+    """The shape of the smallest grid that has room for each path's soil."""
+    shapes = [setup.terrain.mu.shape for setup in _setups().values()]
+    return tuple(np.max(shapes, axis=0).tolist())
+
+
+def _cell_m():
+    return next(iter(_setups().values())).terrain.cell_m
+
+
+def _most_segments():
+    return max(len(setup.path.segments) for setup in _setups().values())
+
+
+def functions_of(scenario):
+    """The Functions of a Scenario's module, which fit each of TURNS."""
+    return functions.build_functions(scenario, _most_segments(), _soil_shape())
+
+
+def fields_of_turns():
+    """{turns: path, plants, and where the soil lies}, as the page draws and drives them."""
+    return {turns: _field(setup) for turns, setup in _setups().items()}
+
+
+def _field(setup):
     path = setup.path
     # Equal steps of about half a metre: the last point is one step before the first.
     path_step_m = path.length_m / np.ceil(2 * path.length_m)
     line = path.poses(np.arange(0, path.length_m - 1e-9, path_step_m))[0][:, :2]
+    segments = functions.with_segments(path, _most_segments()).segments
     return dict(
         path=np.round(line, 3).tolist(),
         path_step_m=path_step_m,
+        segments=segments.ravel().tolist(),  # as CasADi stores their transpose
+        period_m=path.period_m,
+        length_m=path.length_m,
         plants=np.round(plants_of(path), 3).tolist(),
         lowest=path.box[::2],
         highest=path.box[1::2],
         # A random field reaches so far beyond the path, and farther by the start's offset.
-        margin_m=path.box[0] - setup.terrain.origin_m[0],
-        cell_m=farthest.cell_m,
-        traction_step=TRACTION_STEP,
-        soil_shape=farthest.mu.shape,
-        loop_shape=terrain.common_shape(setup.terrain),
+        margin_m=path.box[0] - setup.terrain.origin_m[0] - _FARTHEST_START_M,
     )
 
 
@@ -272,7 +316,8 @@ def _scene(scene, defaults):
         (name, module, {field: getattr(paper, constant) for field, constant in own.items()})
         for name, module, own in scene["runs"]
     ]
-    own = dict(duration_s=scene["duration_s"], sigma_w=tuning.NOISES["rhe"]["prediction"].sigma_w)
+    own = tuning.NOISES["rhe"][tuning.DEFAULT_RULE]._asdict()
+    own |= dict(duration_s=scene["duration_s"])
     values = {name: value for name, value in (defaults | own).items() if name in _FIELDS}
     return dict(fault=next(iter(FAULTS))) | scene | dict(runs=runs, values=values)
 

@@ -6,10 +6,10 @@ const COLOURS = { "Q¹": "--q1", "Q²": "--q2", "Q³": "--run0", RHE: "--run0", 
 const colour_of = i => COLOURS[page.runs[i].name] ?? `--run${i}`;
 const TELLING_S = 3; // of the path's glow
 
-function draw_soil(plot, { slip, n, origin_m }) { // and the path
-  const { cell_m, loop_shape, path } = page.world;
-  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + loop_shape[0] * j)]);
-  plot.line(...spread(path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
+function draw_soil(plot, { field, slip, n, origin_m }) { // and the path
+  const { cell_m, soil_shape } = page.world;
+  plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + soil_shape[0] * j)]);
+  plot.line(...spread(field.path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
 }
 
 function draw_robot(plot, [x, y, theta], colour) {
@@ -29,7 +29,7 @@ function pose_of(loop, k) {
 }
 
 function draw_map(now) {
-  const { loops, world: { lowest, highest }, values } = page;
+  const { loops, soil: { field: { lowest, highest } }, values } = page;
   const map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 3.5, highest[1] + 2], { equal: true });
   draw_soil(map, page.soil);
@@ -61,14 +61,15 @@ function telling_of(loop) {
 }
 
 function touches_of(loop) { // first sample at which each plant is touched
-  const { plants, robot_m } = page.world;
+  const { field: { plants }, world: { robot_m } } = loop;
   const pose = ["x_m", "y_m", "theta_rad"].map(name => loop.get(name));
   return loop.touches ??= first_touches(loop.samples, ...pose, plants, robot_m);
 }
 
 function view_of(loop, now, colour) { // what draw_robot_view needs to know of a run
   const { world, values, soil } = page;
-  const { plants, tolerance_m, robot_m, track_width_m } = world;
+  const { tolerance_m, robot_m, track_width_m } = world;
+  const { field, field: { plants } } = loop;
   const row = name => loop.get(name)(now);
   const [age] = loop.piece("age", now)[0] ?? [0]; // intervals in the window
   const window = loop.piece("s", now).slice(-1 - age);
@@ -80,8 +81,8 @@ function view_of(loop, now, colour) { // what draw_robot_view needs to know of a
   const pair = (nu, omega) => [-1, 1].map(side => nu + side * track_width_m / 2 * omega);
   const P = (of, and) => loop.covariance(of, and, now);
   return {
-    path: near.map(ahead => world.pose_on_path(row("s_m") + ahead)),
-    camera: world.pose_on_path(row("s_m")),
+    path: near.map(ahead => field.pose_on_path(row("s_m") + ahead)),
+    camera: field.pose_on_path(row("s_m")),
     pose: pose_of(loop, now),
     estimate: ["x_hat_m", "y_hat_m", "theta_hat_rad"].map(row),
     covariance: [P("x_m", "x_m"), P("x_m", "y_m"), P("y_m", "y_m"), P("theta_rad", "theta_rad")],

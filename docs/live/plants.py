@@ -11,14 +11,15 @@ _HALF_FREE_M = paper.ROBOT_WIDTH_M / 2 + paper.TOLERANCE_M  # from the row's mid
 
 
 def plants_of(path):
-    """Plants beside the straight parts of a Path.
+    """Plants beside the rows of a Path: its straight parts, but for those across the first row.
 
     Returns:
         (n, 4) tip of the leaf that is nearest to the robot, and middle of the plant [m]; the tip is
         `paper.TOLERANCE_M` away from the side of a robot in the row's middle.
     """
     poses, curvatures = path.poses(np.arange(0, path.length_m, _APART_M))
-    straight = poses[curvatures == 0]
+    along = np.abs(np.cos(poses[:, 2] - poses[0, 2]))
+    straight = poses[(curvatures == 0) & (along > 0.5)]
     rows = [
         np.column_stack(
             [

@@ -22,11 +22,11 @@ async function drive_step(step, { soil, sigma }) {
   const key = `${soil} ${sigma}`;
   if (step.key === key) return;
   const loop = step.loop ??= await Loop.of(step.run.module, world);
-  const sigma_w = [...loop.data.sigma_w[step.run.noise]];
+  const { sigma_v, sigma_w: [...sigma_w] } = loop.data.noises[step.run.noise];
   const of_kappa = sigma ?? step.run.sigma;
   if (of_kappa) sigma_w[5] = of_kappa;
-  const values = { ...world.defaults, sigma_w };
-  step.soil = await world.soil(values.seed, soil, [], values.start_offset_m);
+  const values = { ...world.defaults, sigma_w, sigma_v };
+  step.soil = await world.soil(values.seed, soil, [], values);
   loop.run(values, await world.stream(values.seed, false), step.soil, Math.round(120 / world.dt_s));
   Object.assign(step, { key, extra: {} });
 }
@@ -51,7 +51,9 @@ const over_time = (step, i, up, draw, now) => {
 
 function draw_drive(step, i, now) {
   const { soil, loop } = step;
-  const plot = new Plot(step.canvases[i], [-9, 39], [-8, 17.5], { equal: true });
+  const { lowest, highest } = soil.field;
+  const plot = new Plot(step.canvases[i], [lowest[0] - 2, highest[0] + 2],
+    [lowest[1] - 3, highest[1] + 2], { equal: true });
   draw_soil(plot, soil);
   plot.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--run0", { width: 2 });
   plot.dots(...spread([pose_of(loop, now)]), "--run0", { radius: 6 });

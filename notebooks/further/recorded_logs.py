@@ -40,11 +40,11 @@ def of_the_log(replaying):
 def estimators(process_noise, of_the_rhe):
     """{name: arguments of `rhec.replay`} of the RHE, which has its own, and of two others.
 
-    The W of the others is "printed" or "prediction". Soil under recorded robots slips more than
-    that of the default world, so the latter is the likeliest one on softer soil.
+    The noise of the others is "printed" or "soft_soil": soil under recorded robots slips more than
+    that of the default world.
     """
     given = of_the_log(of_the_rhe)
-    noise = dict(process_noise="printed" if process_noise == "printed" else "soft_soil")
+    noise = dict(process_noise=process_noise)
     papers = {"RHE, ν over the window": dict(speed_model="parameter"), "EKF": dict(estimator="ekf")}
     return {"RHE": of_the_rhe} | {name: given | noise | of for name, of in papers.items()}
 

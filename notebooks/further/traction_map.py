@@ -33,6 +33,7 @@ ESTIMATED = "estimated"
 WITH_PAPERS_R = "estimated, R as printed"
 _TRAINING = 1000  # the first seed of the training fields
 _DURATION_S = 120.0
+_ROW_M = 8.0  # so short that a drive has a turn to either side
 _R = (0.01, 0.04, 0.2)  # to choose from
 # Standard deviations in W that each loop chooses from: of the yaw [rad], of μ and κ [1].
 _YAW = (0.01, 0.03, 0.1)
@@ -99,7 +100,10 @@ def _fields(kappas, seeds):
     """{(κ, variation): its fields, one Scenario a seed with its terrain}."""
     fields = {}
     for place in itertools.product(kappas, VARIATIONS):
-        scenarios = [Scenario(duration_s=_DURATION_S, seed=n, **soil(*place)) for n in seeds]
+        scenarios = [
+            Scenario(duration_s=_DURATION_S, row_length_m=_ROW_M, seed=n, **soil(*place))
+            for n in seeds
+        ]
         path = path_of(scenarios[0])
         fields[place] = [dataclasses.replace(s, terrain=random_for(s, path)) for s in scenarios]
     return fields

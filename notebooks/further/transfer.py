@@ -4,10 +4,9 @@ Each log is taken at 5 Hz, with white noise on its positions and a wrong first y
 noise seed; the first metres do not count (`notebooks.further.recorded.scores`). All estimators are
 tuned without truth, with a noise seed that no trial has: on the same log, or on the others, in the
 geometric mean of their results. The RHE's numbers are those of `rhec.calibrate` or those shipped
-(`tuning.SLIP`). Its rivals are the EKFs of `rhec.logs.rivals`, with (μ, κ) and with five parameters
-of centres of rotation, whose noise has the form of the RHE's. They are tuned by the likelihood of
-their innovations, with the same number of evaluations for each unknown
-(`notebooks.studies.calibration.search`).
+(`tuning.SLIP`). Its rivals are the EKFs of `notebooks.further.recorded.rivals`, with (μ, κ) and
+with five parameters of centres of rotation, whose noise has the form of the RHE's. They are tuned
+by the likelihood of their innovations, with the same number of evaluations for each unknown.
 
     python -m notebooks.further.transfer [FOLDER [SEEDS]]
 
@@ -15,18 +14,18 @@ prints the table of docs/recorded_robots.md, from the logs in data/recordings, w
 `python data/fetch_recordings.py` fetches.
 """
 
+import contextlib
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import minimize
 
-from notebooks.further.recorded import scores
-from notebooks.studies.calibration import search
+from notebooks.further.recorded import rivals, scores
 from notebooks.studies.statistics import over_seeds
 from notebooks.studies.tables import interval_text
 from rhec import paper
-from rhec.logs import rivals
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare
 from rhec.logs.replay import predictor
@@ -38,7 +37,11 @@ _NOISE_M = 0.02  # on recorded positions
 _YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
-_MOST = 10.0  # of a standard deviation
+# The search of a rival's standard deviations: between these, from here, for each unknown.
+_LEAST = 1e-3
+_MOST = 10.0
+_FIRST = 0.01
+_EVALUATIONS = 40
 _UNUSABLE = 1e12  # the objective where a filter diverges
 _SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
@@ -121,8 +124,42 @@ def _tuned(title, log):
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
-    sigma = search(objective, _SEARCHED[title], most=_MOST)
-    return tuple(float(f"{value:.2g}") for value in sigma)
+    return _search(objective, _SEARCHED[title])
+
+
+def _search(objective, unknowns):
+    """The standard deviations (σ …), to two digits, that minimise an objective.
+
+    Args:
+        objective: Function of them.
+        unknowns: For each unknown the places in them that it sets.
+    """
+    tried = {}
+
+    def evaluate(logarithms):
+        if len(tried) == _EVALUATIONS * len(unknowns):
+            raise _Exhausted
+        sigma = np.full(max(map(max, unknowns)) + 1, _LEAST)
+        for places, logarithm in zip(unknowns, logarithms):
+            sigma[list(places)] = np.exp(logarithm)
+        sigma = tuple(sigma.tolist())
+        tried[sigma] = objective(sigma)
+        return tried[sigma]
+
+    # Powell's own limit counts whole lines only; the exception stops at the exact number.
+    with contextlib.suppress(_Exhausted):
+        minimize(
+            evaluate,
+            np.full(len(unknowns), np.log(_FIRST)),
+            method="Powell",
+            bounds=[np.log((_LEAST, _MOST))] * len(unknowns),
+            options=dict(xtol=0.01, ftol=1e-6),
+        )
+    return tuple(float(f"{value:.2g}") for value in min(tried, key=tried.get))
+
+
+class _Exhausted(Exception):
+    """All evaluations are used up."""
 
 
 def _middle(calibrations):

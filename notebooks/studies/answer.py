@@ -44,7 +44,7 @@ _TURNS = {
     "alternate": "to alternate sides",
     "left": "to the left alone",
     "right": "to the right alone",
-    "figure_of_eight": "of a figure of eight",
+    "figure_of_eight": "in a figure of eight",
 }
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
@@ -371,13 +371,16 @@ def _says_order(patterns):
     if order in same:
         return same[order]
     better = sum(word == HOLDS for word in orders.values())
-    others = [
-        f"{_RULES[rule]} with turns {_TURNS[turns]}"
-        for (turns, rule), word in orders.items()
-        if word != HOLDS
+    others = {}
+    for (turns, rule), word in orders.items():
+        if word != HOLDS:
+            others.setdefault(turns, []).append(_RULES[rule])
+    where = [
+        f"where the path turns {_TURNS[turns]} with W {' or '.join(rules)}"
+        for turns, rules in others.items()
     ]
     text = f"the RHE is better than the EKF in {better} of {len(orders)} cases of rule and turns"
-    return f"{text}, not {_listed(others)}" if len(others) <= _FEW else text
+    return f"{text}, but not {_listed(where)}" if len(where) <= _FEW else text
 
 
 _FEW = 3  # exceptions that a sentence may list

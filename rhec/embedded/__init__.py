@@ -1,8 +1,9 @@
-"""Export: an estimator and a controller as self-contained C99 (`rhec export`).
+"""Export: an estimator and a controller as self-contained C99 (`rhec export`, `rhec log`).
 
-`phases` selects the CasADi Functions that become C; `c_writer` writes the generated files. The
-folder `c` contains the files that are the same in all exports: the interface rhec.h and rhec.c, and
-the programs replay.c, times.c, fuzz.c, which only the export of a Scenario receives.
+`phases` selects the CasADi Functions that become C; `c_writer` writes the generated files;
+`recorded` takes the estimator that was judged on a log. The folder `c` contains the files that are
+the same in all exports: the interface rhec.h and rhec.c, the programs replay.c, times.c, fuzz.c of
+a Scenario, and search.h, search.c, replay_log.c of a log.
 `notebooks.further.c_code` compiles and runs an export on this machine and, emulated, on
 64-bit Arm.
 """
@@ -19,8 +20,9 @@ import numpy as np
 from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.embedded import c_writer, phases
+from rhec.embedded import c_writer, phases, recorded
 from rhec.files import UNFINISHED, replacing
+from rhec.logs.summary import Summary
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
@@ -36,22 +38,24 @@ _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions with
 # Of what an estimator may be told, what no robot can know.
 _TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="truth")
 _EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
-_PROGRAMS = "replay.c", "times.c", "fuzz.c"  # of the paper's robot
+_OF_SCENARIO = "replay.c", "times.c", "fuzz.c"  # the last two need its controller
+_OF_LOG = "search.h", "search.c", "replay_log.c"
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 
-def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
+def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool = False) -> Path:
     """Write an estimator and a controller as self-contained C99.
 
     The folder contains a header, a CMake file, and a README.txt that describes the calls. The
-    export of a Scenario also has programs for replay, timing and fuzzing, and an example log with
-    Python's results.
+    export of a Scenario or a log also has programs and an example log with Python's results.
 
     Args:
         scenario: rhec.Scenario with an estimator that needs no truth; a CasADi Function must
             consist of expressions. Or the rhec.RHE, the rhec.RHC, or a tuple of both, of a
-            rhec.Model.
+            rhec.Model. Or what `rhec.log` returns of a log: then it is the estimator that was
+            judged, with its noise, its place of the antenna and its unknown first yaw.
         folder: A new or empty folder, or an earlier export, whose files are replaced.
+        estimator_only: Whether to leave out the controller and the path of a Scenario.
 
     Returns:
         The Path of the folder.
@@ -63,13 +67,18 @@ def export(scenario: Any, folder: str | Path = FOLDER) -> Path:
         raise ValueError(f"folder was {shown(folder)}; it should be a path")
     folder = Path(folder)
     parts = scenario if isinstance(scenario, tuple) else (scenario,)
-    if parts and all(isinstance(part, RHE | RHC) for part in parts):
+    if isinstance(scenario, Summary):
+        if scenario.judged is None:
+            raise ValueError(f"the log has no estimator to export. {scenario.verdict}")
+        _check_folder(folder)
+        texts = _of_log(scenario.judged)
+    elif parts and all(isinstance(part, RHE | RHC) for part in parts):
         texts = _of_model(parts)
         _check_folder(folder)
     else:
-        _check(scenario)
+        _check(scenario, estimator_only)
         _check_folder(folder)
-        texts = _of_scenario(scenario)
+        texts = _of_scenario(scenario, estimator_only)
     _refuse_folders(folder, texts)
     _write(folder, texts)
     return folder
@@ -103,19 +112,30 @@ def _of_model(parts):
     export = phases.export_model(**by_name)
     texts = _common_files()
     readme = c_writer.readme(export, texts["README.txt"])
-    for program in _PROGRAMS:
-        del texts[program]
     return texts | _generated(export) | {"README.txt": readme}
 
 
-def _of_scenario(scenario):
+def _of_scenario(scenario, estimator_only=False):
     """{file: text} of the export of a Scenario."""
-    export = phases.export(scenario)
-    texts = _common_files()
+    export = phases.export(scenario, estimator_only)
+    texts = _common_files(*(_OF_SCENARIO[:1] if estimator_only else _OF_SCENARIO))
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
-    log = simulate(shorter).log[log_columns(scenario)]
+    columns = log_columns(scenario)
+    log = simulate(shorter).log[columns[: -len(COMMAND)] if estimator_only else columns]
     readme = c_writer.readme(export, texts["README.txt"], samples=len(log), **SIGMA_START)
     example = {"scenario.json": _as_json(scenario), "log.csv": log.to_csv(index=False)}
+    return texts | _generated(export) | example | {"README.txt": readme}
+
+
+def _of_log(judged):
+    """{file: text} of the export of the estimator that was judged on a log."""
+    export = phases.export_recorded(recorded.recorded_of(judged))
+    texts = _common_files(*_OF_LOG)
+    log = recorded.example_of(judged)
+    readme = c_writer.readme(
+        export, texts["README.txt"], samples=len(log), inflation=judged.inflation
+    )
+    example = {"scenario.json": _as_json(judged.scenario), "log.csv": log.to_csv(index=False)}
     return texts | _generated(export) | example | {"README.txt": readme}
 
 
@@ -125,11 +145,15 @@ def log_columns(scenario):
     return [*MEASUREMENTS, *of_sensors, *ESTIMATE, *COMMAND]
 
 
-def _common_files():
-    """{file: text} of the files that are the same in all exports."""
+def _common_files(*programs):
+    """{file: text} of the files that are the same in all exports, and of these programs."""
+    left_out = {*_OF_SCENARIO, *_OF_LOG} - {*programs}
     files = sorted(Path(__file__).with_name("c").iterdir())
+    texts = {
+        file.name: file.read_text(encoding="utf-8") for file in files if file.name not in left_out
+    }
     # The mark comes first, so that an interrupted export is still recognised as an export.
-    return {_MARK: ""} | {file.name: file.read_text(encoding="utf-8") for file in files}
+    return {_MARK: ""} | texts
 
 
 def _generated(export):
@@ -142,7 +166,7 @@ def _generated(export):
     }
 
 
-def _check(scenario):
+def _check(scenario, estimator_only):
     """Raise a ValueError for a scenario that cannot be exported."""
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario was {shown(scenario)}; it should be a rhec.Scenario")
@@ -161,7 +185,8 @@ def _check(scenario):
                     f"estimator was {shown(estimator)}, which calls {called.name()!r} "
                     f"({called.class_name()}); to export, it should consist of expressions"
                 )
-    _check_controller(scenario)
+    if not estimator_only:
+        _check_controller(scenario)
 
 
 def _obstacle(estimator):

@@ -4,9 +4,11 @@ The folder `c` contains the files that are the same in all exports.
 """
 
 import casadi as ca
+import numpy as np
 
 from rhec.core._casadi.c_text import generate_c
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.embedded.phases import operations
 
 # Comments of the settings in C. Units of a Model are unknown.
 _MEANING = {
@@ -55,8 +57,9 @@ _README_ON_A_PATH = dict(
     scenario.json                   all of the scenario
     replay.c, log.csv               example: replays a log, here {samples} samples of a run of
                                     the scenario with Python's results
-    times.c                         measures the time of each phase on your machine (POSIX)
-    fuzz.c                          feeds invalid sensor values, corrupts memory, checks the results
+    times.c, fuzz.c                 with a controller: measures the time of each phase on your
+                                    machine (POSIX); feeds invalid sensor values, corrupts memory,
+                                    checks the results
 """,
     more="""\
 Results agree with Python's to 1e-9 on x86-64 and 64-bit Arm; `replay log.csv` checks this on your
@@ -77,6 +80,29 @@ rhec_scenario, change the copy, and pass it to rhec_init. If the controller has 
 desired values are r.controller.y_ref, at first 0. If the estimator has process noise within its
 window, W of the copy may change before each call of rhec_estimate: it is that of the newest
 interval.
+""",
+)
+_README_OF_A_LOG = dict(
+    source="the estimator that rhec log judged on a recorded log",
+    guess="rhec_scenario_guess",
+    control="",
+    files="""\
+    search.h, search.c              the same for an unknown first yaw, as it was judged
+    scenario.json                   all parameters of the estimator
+    replay_log.c, log.csv           example: replays a log, here {samples} samples of the log that
+                                    was judged, with Python's results
+""",
+    more="""\
+Results agree with Python's to 1e-9 on x86-64; `replay_log log.csv` checks this on your machine. The
+noise, the guess of the antenna's place and all else are those that were judged. A robot that does
+not know its first yaw calls rhec_search_init once and rhec_search_estimate each sample (search.h):
+RHEC_HEADINGS times the memory and the time, until the yaw is found. One that knows it puts x, y and
+yaw into a copy of rhec_scenario_guess and calls rhec_init and rhec_estimate alone.
+
+The standard deviations of rhec_sigma are {inflation:.3g} times the estimator's own, by the
+positions that rhec log hid. That of the yaw may still be too small where the robot slips sideways
+for seconds: rhec log sees it in the course, which the C does not follow. Nor has the C its check of
+a gyro that repeats itself or turns far more than the tracks: pass NaN for such a sample.
 """,
 )
 _ALWAYS = "r->settings != 0"  # always true; avoids the warning about an unused argument
@@ -115,6 +141,11 @@ def _size_macros(export):
         f"#define RHEC_{name} {value!r} /* {note} */"
         for name, (value, note) in export.macros.items()
     ]
+    if export.variances:
+        n = int(np.sqrt(export.memory["estimator.covariance"]))
+        macros.append(f"#define RHEC_COVARIANCE {n} /* rows of the covariance */")
+        note = "factor of the standard deviations"
+        macros.append(f"#define RHEC_INFLATION {export.inflation!r} /* {note} */")
     note = "largest plausible number in memory"
     largest = f"#define RHEC_MAX_PLAUSIBLE {MAX_PLAUSIBLE_STATE:g} /* {note} */"
     return [*macros, largest]
@@ -232,11 +263,14 @@ def scenario_source(export):
     def braced(values):
         return "{" + ", ".join(map(repr, values.ravel(order="F").tolist())) + "}"
 
+    variances = ", ".join(map(str, export.variances))
+    of_sigma = f"\nconst int rhec_variances[RHEC_ESTIMATE] = {{{variances}}};\n"
     fields = "".join(f"    .{name} = {braced(value)},\n" for name, value in export.settings.items())
     return (
         f'{_HEAD}#include "rhec.h"\n\n'
         f"const struct rhec_settings rhec_scenario = {{\n{fields}}};\n\n"
         f"const double rhec_scenario_guess[{export.guess.size}] = {braced(export.guess)};\n"
+        f"{of_sigma if export.variances else ''}"
     )
 
 
@@ -257,5 +291,25 @@ def readme(export, template, **values):
         dt_ms=1000 * dt_s, memory=_bytes_of_memory(export), constants=_DOUBLE_BYTES * n_constants
     )
     texts = _README_ON_A_PATH if "PATH" in export.macros else _README_OF_A_MODEL
-    texts = {name: text.format(**values) for name, text in texts.items()}
+    texts = _README_OF_A_LOG if export.is_of_log else texts
+    has_controller = "CONTROLLER" in export.macros
+    sizes |= dict(
+        prepare=", rhec_prepare_control(&r)" if has_controller else "",
+        control=f", {texts['control']}" if has_controller else "",
+        **_most_operations(export),
+    )
+    texts = {name: text.format(**values) for name, text in texts.items() if name != "control"}
     return template.format(**sizes, **texts).rstrip("\n") + "\n"
+
+
+def _most_operations(export):
+    """Most scalar operations of the preparation and of the feedback of a sample, by name."""
+    phases = {name: operations(phase.function) for name, phase in export.phases.items()}
+
+    def most(*ends):
+        return sum(count for name, count in phases.items() if name.endswith(ends))
+
+    return dict(
+        preparing=most("_expand", "_shift", "_linearise", "_move"),
+        feeding=most("_feedback", "_follow", "_closest", "_first", "_start"),
+    )

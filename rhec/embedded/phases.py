@@ -17,6 +17,7 @@ from rhec.core.controller.rhc import FIRST_ITERATIONS
 from rhec.core.controller.rhc import build_phases as build_controller
 from rhec.core.controller.rhc import init as plan_init
 from rhec.core.estimator.innovation_gate import patience
+from rhec.core.estimator.rhe import Window
 from rhec.core.estimator.rhe import build_phases as build_estimator
 from rhec.core.estimator.rhe import init as window_init
 from rhec.core.model.limits import is_valid_measurement
@@ -30,6 +31,7 @@ from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import stages_of
+from rhec.tracked_robot.rhe import init as window_init_by_name
 from rhec.tracked_robot.sensors import OUTPUTS
 
 # The entries of a measurement z of the paper's robot; those of other sensors follow.
@@ -52,6 +54,7 @@ _SHARED = dict(
     u_ref="path.omega_ref",
 )
 _SHARED_BY_MODEL = dict(z_N="z", estimate="estimate", guess="guess")
+_MOVED = dict(z_N="estimator.moved", estimate="estimate")  # before it is the measurement
 # In the order of a sample; `improve` prepares a controller's first plan.
 _PHASES = "start", "expand", "shift", "linearise", "feedback", "improve"
 
@@ -64,6 +67,18 @@ class _Start(NamedTuple):
     n: int
 
 
+class Recorded(NamedTuple):
+    """The estimator that was judged on a log."""
+
+    window: Window
+    settings: dict  # {name: matrix}
+    guess: dict  # {name: number} before the first sample, with place, yaw and speed 0
+    sigma_guess: dict  # {name: standard deviation}
+    inflation: float  # by which its standard deviations are multiplied
+    headings: int  # first yaws that are tried
+    move: ca.Function  # as of `recorded.build_move`
+
+
 class Export(NamedTuple):
     """The content of the generated C."""
 
@@ -72,10 +87,18 @@ class Export(NamedTuple):
     settings: dict  # {name: matrix}
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
     macros: dict  # {name in C: (value, comment)}
+    # Of each entry of the estimate the place of its variance in the covariance, -1 without one.
+    variances: tuple = ()
+    inflation: float = 1.0  # factor of the standard deviations
+
+    @property
+    def is_of_log(self) -> bool:
+        """Whether it is the estimator of a log, whose first yaw is searched."""
+        return "HEADINGS" in self.macros
 
 
-def export(scenario):
-    """Return the Export of a scenario's estimator, controller and path."""
+def export(scenario, estimator_only=False):
+    """Return the Export of a scenario's estimator and, as a rule, its controller and path."""
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator)
@@ -83,43 +106,92 @@ def export(scenario):
     del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
     stages = stages_of(scenario.prediction_horizon)
     n_segments = len(setup.path.segments)
-
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
     else:
         estimate = _split_step(estimator.build_step(choice))
-    control = build_controller(stages)
-    has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
-    if has_yaw_drift:
-        control = control | dict(feedback=_with_moved_bounds(control["feedback"]))
-    references = build_references(stages.dt_s, stages.N, n_segments, scenario.input_reference)
-    reports_accepted = "accepted" in estimate["feedback"].name_out()
-    n_z = len(_measured(scenario))
-    follow = _build_follow(references, reports_accepted, n_z, has_yaw_drift)
-    path_phases = dict(closest=closest(n_segments), follow=follow)
+    n = len(QUANTITIES)
 
     def first_estimate(estimate):
         memory = estimator.init(choice, dict(zip(QUANTITIES, estimate)))
         return memory if estimator.build_phases else dict(memory=pack_array(memory))
+
+    start = _Start(first_estimate, "estimate", n)
+    phases = _bind_all("estimator", start, estimate, settings, _SHARED)
+    has_gate = "rejected" in estimate["shift"].name_in()
+    most = patience(choice.estimation_horizon) if has_gate else 0
+    macros = _macros_on_a_path(scenario, stages.dt_s, most)
+    has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
+    if has_yaw_drift:
+        macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
+    covered = estimator.states(choice) if "covariance" in estimate["feedback"].name_out() else ()
+    variances = _variances(QUANTITIES, covered)
+    if estimator_only:
+        for name in ("CONTROLLER", "MOST_GUESSES"):
+            del macros[name]
+        return _export(phases, settings, setup.guess, macros, variances)
 
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
         return plan_init(stages, pose, speed_and_traction)
 
-    n = len(QUANTITIES)
-    start = _Start(first_estimate, "estimate", n)
-    phases = _bind_all("estimator", start, estimate, settings, _SHARED)
+    control = build_controller(stages)
+    if has_yaw_drift:
+        control = control | dict(feedback=_with_moved_bounds(control["feedback"]))
+    references = build_references(stages.dt_s, stages.N, n_segments, scenario.input_reference)
+    reports_accepted = "accepted" in estimate["feedback"].name_out()
+    n_z = len(_measured(scenario))
+    follow = _build_follow(references, reports_accepted, n_z, has_yaw_drift)
     start = _Start(first_plan, "estimate", n)
     phases |= _bind_all("controller", start, control, settings, _SHARED)
-    for name, function in path_phases.items():
+    for name, function in dict(closest=closest(n_segments), follow=follow).items():
         phases[f"path_{name}"] = _in_struct(wired(function), "path", (), settings, _SHARED)
-    has_gate = "rejected" in estimate["shift"].name_in()
-    most = patience(choice.estimation_horizon) if has_gate else 0
-    macros = _macros_on_a_path(scenario, stages.dt_s, most)
-    if has_yaw_drift:
-        macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
-    return _export(phases, settings, setup.guess, macros)
+    return _export(phases, settings, setup.guess, macros, variances)
+
+
+def _variances(names, covered):
+    """Of each name the place of its variance on the diagonal of a covariance, -1 without one."""
+    covered = [*covered]
+    return tuple(covered.index(name) if name in covered else -1 for name in names)
+
+
+def export_recorded(recorded):
+    """Return the Export of a Recorded."""
+    window, guess = recorded.window, recorded.guess
+    model, estimated = window.model, window.estimated
+    names = tuple(dict.fromkeys((*model.joint_names, *model.inputs)))
+
+    def first_memory(values):
+        return window_init_by_name(window, dict(zip(names, values)), recorded.sigma_guess)
+
+    @casadi_function("rhec_first", guess=(len(names), 1))
+    def first(guess):
+        value = dict(zip(names, ca.vertsplit(guess)))
+        return dict(estimate=ca.vertcat(*(value[name] for name in estimated)))
+
+    settings = recorded.settings
+    start = _Start(first_memory, "guess", len(names))
+    phases = _bind_all(
+        "estimator", start, build_estimator(window), settings, _SHARED_BY_MODEL
+    ) | dict(
+        estimator_first=_in_struct(wired(first), "estimator", (), settings, _SHARED_BY_MODEL),
+        estimator_move=_in_struct(wired(recorded.move), "estimator", (), settings, _MOVED),
+    )
+    macros = dict(
+        DT_S=(window.dt_s, "time between samples [s]"),
+        ESTIMATOR=(1, "the export has an estimator"),
+        OUTPUTS=(len(model.outputs), ", ".join(model.outputs)),
+        ESTIMATE=(len(estimated), ", ".join(estimated)),
+        GUESS=(len(names), ", ".join(names)),
+        GUESS_YAW=(names.index("theta_rad"), "place of the yaw in a guess; x and y are the first"),
+        GUESS_SPEED=(names.index("nu_mps"), "place of the speed in a guess"),
+        HEADINGS=(recorded.headings, "first yaws that are tried where none is known"),
+    )
+    values = np.array([guess.get(name, 0.0) for name in names])
+    variances = _variances(estimated, model.joint_names)
+    result = _export(phases, settings, values, macros, variances)
+    return result._replace(inflation=recorded.inflation)
 
 
 def _measured(scenario):
@@ -162,6 +234,7 @@ def export_model(rhe=None, rhc=None):
     phases = {}
     settings = {}
     guess = np.zeros(1)
+    variances = ()
     if rhe:
         guess, sigma_guess = rhe._guess
         settings |= rhe.settings
@@ -172,6 +245,7 @@ def export_model(rhe=None, rhc=None):
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
         macros["ESTIMATOR"] = 1, "the export has an estimator"
         macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
+        variances = _variances(model.names, model.joint_names)
     if rhc:
         n_x = len(model.states)
         settings |= rhc.settings
@@ -183,10 +257,10 @@ def export_model(rhe=None, rhc=None):
         if IMPROVE in control:
             macros["FIRST_ITERATIONS"] = FIRST_ITERATIONS, "most iterations for the first plan"
     macros["GUESS"] = len(guess), ", ".join(model.joint_names) if rhe else "unused"
-    return _export(phases, settings, guess, macros)
+    return _export(phases, settings, guess, macros, variances)
 
 
-def _export(phases, settings, guess, macros):
+def _export(phases, settings, guess, macros, variances=()):
     """Return the Export of bound phases, with the memory and the settings that they use."""
     memory = {}
     used = set()
@@ -199,7 +273,7 @@ def _export(phases, settings, guess, macros):
             else:
                 memory[place] = max(size, 1)  # C has no empty arrays
     settings = {name: np.array(ca.DM(value)) for name, value in settings.items() if name in used}
-    return Export(phases, memory, settings, guess, macros)
+    return Export(phases, memory, settings, guess, macros, variances)
 
 
 def _bind_all(owner, start, functions, settings, shared):
@@ -356,3 +430,36 @@ def _build_follow(references, reports_accepted, n_z, has_yaw_drift):
         return dict(s_next=target.pop("s")) | target | disturbance
 
     return follow
+
+
+def operations(function):
+    """Return how many scalar operations a Function takes at most; of branches the longest counts.
+
+    Its loops are unrolled or of fixed length, so that this is a bound of its time.
+    """
+    kind = function.class_name()
+    if kind == "SXFunction":
+        return function.n_instructions()
+    if kind != "MXFunction":
+        inner = [operations(each) for each in function.find_functions(0)]
+        return max(inner, default=0) * max(_repetitions(function), 1)
+    total = 0
+    for k in range(function.n_instructions()):
+        node = function.instruction_MX(k)
+        if function.instruction_id(k) in (ca.OP_INPUT, ca.OP_OUTPUT):
+            total += 1
+        elif function.instruction_id(k) == ca.OP_CALL:
+            total += operations(node.which_function())
+        elif function.instruction_id(k) == ca.OP_MTIMES:
+            total += 2 * node.numel() * node.dep(1).size2()
+        else:
+            total += max(node.numel(), 1)
+    return total
+
+
+def _repetitions(function):
+    """Return how often a Map repeats its Function; 1 for a Switch."""
+    inner = function.find_functions(0)
+    if function.class_name() == "Switch" or not inner:
+        return 1
+    return function.numel_out(0) // max(inner[0].numel_out(0), 1)

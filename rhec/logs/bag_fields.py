@@ -2,7 +2,8 @@
 
 A path is a topic and, after it, names of fields behind points and places in arrays in brackets,
 such as `/wheels.velocity[0]`. It should end at a number. A time is a number of seconds, and a
-quaternion gives its yaw [rad].
+quaternion gives its yaw [rad]. A minus before the topic turns the sign, as for an IMU that is
+mounted upside down.
 """
 
 import re
@@ -21,6 +22,7 @@ class Field(NamedTuple):
     topic: str
     path: str  # what follows the topic
     msgtype: str
+    sign: int = 1
 
     def value(self, message: Any) -> float:
         """The number at the path in a message; NaN where an array has no such place.
@@ -40,7 +42,7 @@ class Field(NamedTuple):
         number = _number(value)
         if number is None:
             raise ValueError(self._refused("is no number", value))
-        return number
+        return self.sign * number
 
     def _refused(self, problem, value):
         named = f"columns[{self.column!r}] was {self.topic + self.path!r}"
@@ -58,7 +60,8 @@ def fields_of(columns: dict[str, str], types: dict[str, str]) -> list[Field]:
         ValueError: If a path names no topic of the bag, or is none.
     """
     fields = []
-    for column, path in columns.items():
+    for column, given in columns.items():
+        path = given.removeprefix("-") if given.startswith("-/") else given
         topic = next((name for name in types if path.startswith((f"{name}.", f"{name}["))), "")
         rest = path[len(topic) :]
         if not topic and not path.startswith("/"):
@@ -70,9 +73,10 @@ def fields_of(columns: dict[str, str], types: dict[str, str]) -> list[Field]:
         elif column == "t_s":
             wanted = "not be given: the time of a bag's rows is that of its messages"
         else:
-            fields.append(Field(column, topic, rest, types[topic]))
+            sign = 1 if path == given else -1
+            fields.append(Field(column, topic, rest, types[topic], sign))
             continue
-        raise ValueError(f"columns[{column!r}] was {path!r}; it should {wanted}")
+        raise ValueError(f"columns[{column!r}] was {given!r}; it should {wanted}")
     return fields
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rhec.logs import bag_frames
 from rhec.logs.bag_fields import fields_of, listed
 from rhec.logs.bag_files import files_of, messages, opened
 from rhec.simulation.columns import TRACKS
@@ -69,10 +68,8 @@ def _wheels(message):
 
 
 def _imu(message):
-    """Yaw rates [rad/s] and specific forces [m/s²] of an Imu about and along its three axes."""
-    rate = message.angular_velocity
-    force = message.linear_acceleration
-    return rate.x, rate.y, rate.z, force.x, force.y, force.z
+    """Yaw rate [rad/s] of an Imu about its z axis."""
+    return (message.angular_velocity.z,)
 
 
 # The message types of each role, in order of preference: the first one in the bag is read. A type
@@ -92,20 +89,17 @@ _ROLES = {
         "geometry_msgs/msg/TwistStamped": (_SPEEDS, _twist),
         "nav_msgs/msg/Odometry": (_SPEEDS, _twist),
     },
-    "gyro": {"sensor_msgs/msg/Imu": ([*"abcdef"], _imu)},
+    "gyro": {"sensor_msgs/msg/Imu": (["gyro_radps"], _imu)},
 }
 _OPTIONAL = ("gyro",)
-_OF_TRANSFORMS = (_POSITION[:2], None)  # which one message does not tell
 # The columns of which any pair, given as fields, fills a role.
 _FILLED_BY = {
     "positions": (_POSITION[:2], ["latitude", "longitude"]),
     "encoders": (_SPEEDS, TRACKS),
     "gyro": (["gyro_radps"],),
 }
-# The specific force of a body at rest points up, with the size of gravity [m/s²].
-_GRAVITY = (8.0, 11.5)
-_SAME_AXIS = np.cos(np.deg2rad(30.0))  # of an axis by /tf_static and of one by gravity
-_FIELDS_HELP = "columns={'x_m': '/topic.field', …} reads fields of any type"
+_FIELDS_HELP = "--columns x_m=/topic.field reads fields of any type"
+_ONE_CLOCK_S = 1.0  # headers of one clock are received as late as each other, but for this
 
 
 @dataclass
@@ -115,24 +109,46 @@ class _Reading:
     name: str  # a role, or the columns that fields fill
     topic: str
     columns: list
-    values: Callable | None  # message -> the values of the columns
-    stamps_ns: list = field(default_factory=list)
+    values: Callable  # message -> the values of the columns
+    stamps_ns: list = field(default_factory=list)  # by headers, 0 where one has no stamp
+    received_ns: list = field(default_factory=list)  # by the recorder
     rows: list = field(default_factory=list)  # the values of each message
-    n_by_header: int = 0  # how many of the stamps are those of headers
-    frame: str = ""  # in which the sensor measures, by its first message
 
-    def take(self, stamp_ns, received_ns, row):
-        """Append the values of a message, at the time in its header if there is one."""
-        self.stamps_ns.append(stamp_ns or received_ns)
-        self.n_by_header += stamp_ns > 0
-        self.rows.append(row)
+    def take(self, message, received_ns):
+        """Append the values of a message and its times."""
+        self.stamps_ns.append(_stamp_ns(message))
+        self.received_ns.append(received_ns)
+        self.rows.append(self.values(message))
 
-    def table(self, wheel_radius_m):
+    def table(self, times_ns, wheel_radius_m):
         """The values as a table, indexed by time [ns]."""
-        table = pd.DataFrame(self.rows, self.stamps_ns, self.columns, dtype=float)
+        table = pd.DataFrame(self.rows, times_ns, self.columns, dtype=float)
         if wheel_radius_m is not None:
             table[table.columns.intersection(TRACKS)] *= wheel_radius_m
         return table
+
+
+def _stamp_ns(message):
+    """The time in a message's header [ns]; 0 without one, as in a header without a stamp."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return stamp.sec * 10**9 + stamp.nanosec if stamp else 0
+
+
+def _why_recorder(readings):
+    """Why the times of all topics are those of the recorder; "" where headers have one clock."""
+    readings = [each for each in readings if each.rows]
+    for each in readings:
+        unstamped = each.stamps_ns.count(0)
+        if unstamped:
+            return f"{unstamped} of {len(each.rows)} headers of {each.topic} have no stamp"
+    late_s = {
+        each.topic: float(np.median(np.subtract(each.received_ns, each.stamps_ns))) * 1e-9
+        for each in readings
+    }
+    apart_s = max(late_s.values(), default=0.0) - min(late_s.values(), default=0.0)
+    if apart_s > _ONE_CLOCK_S:
+        return f"the headers of {' and '.join(late_s)} have clocks {apart_s:.3g} s apart"
+    return ""
 
 
 # How its topics are chosen
@@ -153,14 +169,6 @@ def _topic_for(types, topics, role):
         )
     # If two topics have the same type, the user lists the topic of the positions first.
     return suitable[0 if role == "positions" else -1]
-
-
-def _topic_of_transforms(types, frames):
-    """The topic of transforms that change."""
-    for name, kind in types.items():
-        if kind == bag_frames.TYPE and not name.endswith("static"):
-            return name
-    raise ValueError(f"frames was {frames!r}; the bag has no /tf among {listed(types)}")
 
 
 def _refuse_chosen(types, chosen, are_named, wheel_radius_m):
@@ -185,7 +193,7 @@ def _refuse_chosen(types, chosen, are_named, wheel_radius_m):
         )
 
 
-def _choose(types, topics, frames, fields, wheel_radius_m):
+def _choose(types, topics, fields, wheel_radius_m):
     """{role: topic}, and {role: remark} where no topic has a role.
 
     Where a user names fields, these may be all that is wanted: what else cannot be chosen is left
@@ -199,9 +207,6 @@ def _choose(types, topics, frames, fields, wheel_radius_m):
     remarks = {}
     for role, filling in _FILLED_BY.items():
         if any(given.issuperset(columns) for columns in filling):
-            continue
-        if role == "positions" and frames:
-            chosen[role] = _topic_of_transforms(types, frames)
             continue
         if role in _OPTIONAL and not any(types[name] in _ROLES[role] for name in topics or types):
             continue
@@ -220,9 +225,7 @@ def _readings(types, chosen, fields):
     """The _Readings of {role: topic} and of the fields."""
     readings = []
     for role, topic in chosen.items():
-        of_frames = types[topic] == bag_frames.TYPE
-        source = _OF_TRANSFORMS if of_frames else _ROLES[role][types[topic]]
-        readings.append(_Reading(role, topic, *source))
+        readings.append(_Reading(role, topic, *_ROLES[role][types[topic]]))
     for topic in dict.fromkeys(each.topic for each in fields):
         of_topic = [each for each in fields if each.topic == topic]
         columns = [each.column for each in of_topic]
@@ -238,67 +241,36 @@ def _values_of(fields, message):
 # How its messages are read
 
 
-def _frame(message):
-    """The frame in which a sensor measures; of a pose it is that of the body."""
-    if hasattr(message, "pose"):
-        return getattr(message, "child_frame_id", "")
-    return getattr(getattr(message, "header", None), "frame_id", "")
-
-
-def _take_messages(bag, types, readings, named):
-    """Fill the readings from an open bag, and return its Frames.
-
-    Args:
-        bag: As of `opened`.
-        types: {topic: type of its messages}.
-        readings: The _Readings.
-        named: The frames that a user names, or None.
-    """
-    frames = bag_frames.Frames()
-    of_transforms = {name for name, kind in types.items() if kind == bag_frames.TYPE}
-    static = {name for name in of_transforms if name.endswith("static")}
-    topics = {reading.topic for reading in readings}
+def _take_messages(bag, readings):
+    """Fill the readings from an open bag."""
     n_values = 0
-    for topic, received_ns, message in messages(bag, topics | static):
-        is_transform = topic in static or (named and topic in of_transforms)
-        if is_transform:
-            frames.add(message)
+    for topic, received_ns, message in messages(bag, {reading.topic for reading in readings}):
         for reading in readings:
-            if reading.topic != topic or topic in static:
-                continue  # an Odometry may have several roles
-            if is_transform:
-                reading.frame = named[1]
-                for stamp_ns, place in bag_frames.moved(frames, named, message):
-                    reading.take(stamp_ns, received_ns, place)
-            else:
-                reading.frame = reading.frame or _frame(message)
-                reading.take(bag_frames.stamp_ns(message), received_ns, reading.values(message))
-            n_values += len(reading.columns)
+            if reading.topic == topic:  # an Odometry may have several roles
+                reading.take(message, received_ns)
+                n_values += len(reading.columns)
         if n_values > MOST_VALUES:
             raise ValueError(f"its topics have more than {MOST_VALUES} values")
-    return frames
 
 
-def _read(bag, topics, named, columns, wheel_radius_m):
+def _read(bag, topics, columns, wheel_radius_m):
     """The table of an open bag, with the columns of fields in its attrs, and what was inferred."""
     types = {name: topic.msgtype or "" for name, topic in bag.topics.items()}
     fields = fields_of(columns, types)
-    chosen, inferred = _choose(types, topics, named, fields, wheel_radius_m)
+    chosen, inferred = _choose(types, topics, fields, wheel_radius_m)
     readings = _readings(types, chosen, fields)
-    frames = _take_messages(bag, types, readings, named)
+    _take_messages(bag, readings)
+    why = _why_recorder(readings)
+    inferred["time"] = f"by the recorder, because {why}" if why else "by the headers"
     table = pd.DataFrame()
-    lever_arm_m = None
     for reading in readings:
-        read = reading.table(wheel_radius_m)
-        told = _told(reading, types[reading.topic])
-        if reading.name == "gyro":
-            read, axis = _about_vertical(read, frames, reading.frame)
-            told += f", {axis}"
-        if reading.name == "positions":
-            if named and not len(read):
-                raise ValueError(f"frames was {named!r}; the bag has {frames}")
-            lever_arm_m = frames.pose(frames.base, reading.frame)
-        inferred[reading.name] = told
+        times_ns = reading.received_ns if why else reading.stamps_ns
+        read = reading.table(times_ns, wheel_radius_m)
+        disorder = int((np.diff(times_ns) < 0).sum())
+        kind = types[reading.topic]
+        inferred[reading.name] = (
+            f"{reading.topic}, {kind}, {len(read)} messages, {disorder} out of order"
+        )
         table = table.join(read[~read.index.duplicated()], how="outer")
     if not len(table):
         raise ValueError(f"no message on {', '.join(each.topic for each in readings)}")
@@ -306,10 +278,6 @@ def _read(bag, topics, named, columns, wheel_radius_m):
         table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
     table = table.reset_index(drop=True)
-    if lever_arm_m is not None:
-        ahead, left = table.attrs["lever_arm_m"] = tuple(lever_arm_m[:2, 3].tolist())
-        where = f"{ahead:.3f} m ahead, {left:.3f} m left of {frames.base}, by /tf_static"
-        inferred["lever arm"] = where
     table.attrs["fields"] = [each.column for each in fields]
     read_topics = {reading.topic for reading in readings}
     unread = {name: kind for name, kind in types.items() if name not in read_topics}
@@ -318,52 +286,12 @@ def _read(bag, topics, named, columns, wheel_radius_m):
     return table, inferred
 
 
-def _told(reading, msgtype):
-    """What a reading consists of, as text."""
-    n = len(reading.rows)
-    disorder = int((np.diff(reading.stamps_ns) < 0).sum())
-    clock = "the headers"
-    if reading.n_by_header < n:
-        clock = "the recorder, because headers have no stamp"
-    return f"{reading.topic}, {msgtype}, {n} messages, {disorder} out of order, times by {clock}"
-
-
-# Where its sensors are
-
-
-def _agree(up, force):
-    """Whether an axis is that of gravity, which some sensors count downwards."""
-    return abs(up @ force) >= _SAME_AXIS * np.linalg.norm(force)
-
-
-def _about_vertical(table, frames, frame):
-    """The yaw rate about the vertical in a table of `_imu`, and how its axis was found."""
-    rates = table.to_numpy()[:, :3]
-    force = np.nanmean(table.to_numpy()[:, 3:], axis=0)
-    size = float(np.linalg.norm(force))
-    measures_gravity = _GRAVITY[0] < size < _GRAVITY[1]
-    pose = frames.pose(frames.base, frame)
-    if pose is not None and (not measures_gravity or _agree(pose[2, :3], force)):
-        up = pose[2, :3]
-        told = f"about the z axis of {frames.base} by /tf_static"
-    elif measures_gravity:
-        up = force / size
-        axis = ", ".join(f"{entry:.2f}" for entry in up)
-        against = "" if pose is None else ", which contradicts /tf_static"
-        told = f"about the vertical by gravity, ({axis}) in its axes{against}"
-    else:
-        up = np.array([0.0, 0.0, 1.0])
-        told = "about its z axis, because it measures no gravity"
-    return pd.DataFrame(dict(gyro_radps=rates @ up), index=table.index), told
-
-
 # Files
 
 
 def read_bag(
     file: Path,
     topics: tuple[str, ...] | None,
-    frames: tuple[str, str] | None,
     wheel_radius_m: float | None,
     columns: dict[str, str],
 ) -> tuple[pd.DataFrame, dict[str, str]]:
@@ -373,7 +301,7 @@ def read_bag(
 
     Args:
         file: Path of the bag.
-        topics, frames, wheel_radius_m, columns: As in `rhec.logs.read`. Columns that are no fields
+        topics, wheel_radius_m, columns: As in `rhec.logs.read`. Columns that are no fields
             of messages are not looked at.
 
     Raises:
@@ -382,7 +310,7 @@ def read_bag(
     files = files_of(file)
     try:
         with opened(files) as bag:
-            return _read(bag, topics, frames, columns, wheel_radius_m)
+            return _read(bag, topics, columns, wheel_radius_m)
     except Exception as error:  # any error that a parser raises for a broken file
         if type(error) is ValueError:
             raise

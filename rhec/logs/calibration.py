@@ -18,14 +18,14 @@ from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.base import Model
 from rhec.logs import filtering, minimum, terms
 from rhec.logs.checks import facts, refuse
-from rhec.logs.comparison import HIDDEN_S, hidden_errors
 from rhec.logs.filtering import Loss
+from rhec.logs.judge import HIDDEN_S, hidden_errors
 from rhec.logs.likelihood import Z_95, Calibration, Likelihood, Unknown, normal_report
 from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import delayed, prepare, travelled, with_ages
+from rhec.logs.recording import Recording, delayed, prepare, travelled, with_ages
 from rhec.logs.replay import (
     InitialGuess,
     estimate_samples,
@@ -73,6 +73,8 @@ _LATE_S = 0.1  # a larger one is worth a remark
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
+# The arguments of a replay that say how a log is read, and where the antenna is.
+LOG_ARGUMENTS = ("track_width_m", "position_delay_s", "trust_log", "lever_arm_m")
 # Hidden positions compare a calibration with the defaults; fewer tell nothing.
 _LEAST_OUTAGES = 6
 _WORSE = 1.05
@@ -165,24 +167,62 @@ def calibrate(
     recording = prepare(log, track_width_m)
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
+    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
+    result = calibrate_recorded(recording, about_arm_m, position_delay_s)
+    result.update({name: value for name, value in of_robot.items() if value and name not in result})
+    return result
+
+
+def calibrate_recorded(
+    recording: Recording, about_arm_m: tuple[float, float], position_delay_s: float
+) -> Calibration:
+    """The Calibration of a Recording, which has its position_delay_s if there is one.
+
+    Args:
+        recording: The Recording, with positions at their time stamps.
+        about_arm_m: First guess of the antenna, ahead and left [m].
+        position_delay_s: Delay of the positions [s]. Where they are clearly later than that, the
+            log is calibrated again with the delay that was found.
+
+    Raises:
+        ValueError: For a log that does not determine a calibration.
+    """
     robot = _Robot(
         width_m=recording.track_width_m,
         sensors=recording.sensors,
-        about_arm_m=log.attrs.get("lever_arm_m", (0.0, 0.0)),
+        about_arm_m=about_arm_m,
         least_m=declared_m(recording.rows) / _CORRELATED,  # widened, it is the declared one
     )
     at_stamps = _usable(recording)
     recording = delayed(at_stamps, position_delay_s)
     _refuse_straight(recording)
     fit, wanders = _search(recording, robot)
+    delay_s, sigma_s = _delay(at_stamps, position_delay_s, fit, robot)
+    later_s = delay_s - position_delay_s
+    is_sure = abs(later_s) > max(_LATE_S, 2 * sigma_s)
+    if is_sure and later_s > 0 and not position_delay_s:
+        found_s = round(delay_s, 2)
+        result = calibrate_recorded(at_stamps, about_arm_m, found_s)
+        result.remarks.insert(
+            0,
+            f"The positions come {delay_s:.2f} ± {Z_95 * sigma_s:.2f} s after the encoder speeds: "
+            f"all of this is with position_delay_s={found_s:g}.",
+        )
+        return result
     result = _calibration(fit, robot)
-    result.update({name: value for name, value in of_robot.items() if value})
-    delay = _delay(at_stamps, position_delay_s, fit, robot)
+    if position_delay_s:
+        result["position_delay_s"] = position_delay_s
     samples = _replayed(recording, result, fit.yaws, smooth=True)
-    result.terms = _terms(result, recording, samples, delay)
+    result.terms = _terms(result, recording, samples, (delay_s, sigma_s))
     rate_hz = facts(recording)["encoders_hz"]
     result.yaml = terms.as_yaml(result.terms, robot.width_m, terms.noise(samples), rate_hz)
-    result.remarks = _remarks(result, wanders, delay, position_delay_s)
+    result.remarks = _remarks(result, wanders)
+    if is_sure and later_s < 0:
+        result.remarks.append(
+            f"The encoder speeds seem to come {-later_s:.2f} ± {Z_95 * sigma_s:.2f} s after the "
+            "positions: either they are late, or the robot was steered by its positions, so that "
+            "its speeds answer them. Nothing is to be done."
+        )
     _keep_better(result, recording, fit.yaws)
     return result
 
@@ -407,15 +447,12 @@ def _terms(result, recording, samples, delay):
     # Errors that wander for minutes do not show in the positions, but the receiver declares them.
     noise = result.report.loc[_POSITION.name, ["value", "low", "high"]]
     noise = noise.astype(float).clip(lower=declared_m(recording.rows))
-    others = terms.constants(samples) | {
-        "GNSS noise": (*noise, "m"),
-        "delay of the positions": terms.row(*delay, "s"),
-    }
-    return terms.table(*terms.slopes(samples), recording.track_width_m, others)
+    found = {"GNSS noise": (*noise, "m"), "delay of the positions": terms.row(*delay, "s")}
+    return terms.of_log(terms.slopes(samples), samples, recording.track_width_m, found)
 
 
-def _remarks(result, wanders, delay, position_delay_s):
-    """Sentences on how the positions were used, how good they are, and how late."""
+def _remarks(result, wanders):
+    """Sentences on how the positions were used, and how good they are."""
     remarks = []
     if wanders:
         remarks.append(
@@ -425,12 +462,6 @@ def _remarks(result, wanders, delay, position_delay_s):
     if not result.report.loc[_POSITION.name, "low"]:
         remarks.append(
             f"The noise of the positions is at most {_POSITION.least} m, the least that is assumed."
-        )
-    delay_s, sigma_s = delay
-    if abs(delay_s - position_delay_s) > max(_LATE_S, 2 * sigma_s):
-        remarks.append(
-            f"The positions come {delay_s:.2f} ± {Z_95 * sigma_s:.2f} s after the encoder speeds: "
-            f"calibrate and replay with position_delay_s={delay_s:.2f}."
         )
     return remarks
 
@@ -443,11 +474,9 @@ def _keep_better(result, recording, yaws):
 
     def errors_m(arguments):
         hidden = hidden_errors(recording, lambda shown: _replayed(shown, arguments, yaws))
-        return hidden.error_m[HIDDEN_S]
+        return hidden["error_m"].to_numpy()
 
-    calibrated, shipped = errors_m(result), errors_m({})
-    ratios = np.log((calibrated + _LEAST_ERROR_M) / (shipped + _LEAST_ERROR_M))
-    ratios = ratios[np.isfinite(ratios)]
+    ratios = np.log((errors_m(result) + _LEAST_ERROR_M) / (errors_m({}) + _LEAST_ERROR_M))
     if len(ratios) < _LEAST_OUTAGES:
         return
     deviation = ratios.std(ddof=1) / np.sqrt(len(ratios))

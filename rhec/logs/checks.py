@@ -11,9 +11,10 @@ from itertools import chain
 
 import numpy as np
 
-from rhec.logs.finding import Finding, Severity, note, refused
+from rhec.logs import causes
+from rhec.logs.finding import Finding, Severity, note, refused, warning
 from rhec.logs.path_checks import check_clock_offset, check_path
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.position_noise import declared_m, position_sigma_m
 from rhec.logs.recording import DECLARED, Recording, moves, period_s, travelled
 from rhec.logs.sensor_checks import check_sensors
 from rhec.simulation.columns import MEASUREMENTS
@@ -54,11 +55,12 @@ def facts(recording: Recording) -> dict:
     counting = int(rows[_X].notna().sum())
     return dict(
         duration_s=float(rows.groupby("segment")["t_s"].agg(np.ptp).sum()),
-        rows_usable=len(rows) / faults["rows"],
+        rows_usable=1 - faults["unusable_times"] / faults["rows"],
         positions_usable=counting / max(counting + faults["positions_flagged"], 1),
         positions_hz=_rate_hz(rows, _X),
         encoders_hz=_rate_hz(rows, _NU),
         position_sigma_m=position_sigma_m(rows),
+        declared_sigma_m=declared_m(rows),
         driven_m=travelled(rows, _NU),
         turned_rad=travelled(rows, _OMEGA),
     )
@@ -84,7 +86,7 @@ def refuse(recording: Recording) -> None:
     Warns:
         UserWarning: Such as that the positions are late.
     """
-    for finding in chain.from_iterable(check(recording) for check in _CHECKS):
+    for finding in findings(recording):
         if finding.severity is Severity.ERROR:
             raise ValueError(finding.fact)
         if finding.severity is Severity.WARNING:
@@ -214,23 +216,63 @@ def _silence_s(rows, column):
     return step_s.groupby([rows["segment"], n_before]).cumsum()
 
 
+def _check_left_out(recording):
+    """Tell how many values were left out, and where a new drive begins."""
+    for column, n in recording.faults["left_out"].items():
+        yield note(
+            "left_out",
+            f"{n} values of {column} are left out, because none is as large or so far from both "
+            "its neighbours",
+            "Look for a counter that rolls over, or for bits that are lost.",
+        )
+    for jump_m in recording.faults["jumps_m"]:
+        place = ", ".join(recording.columns[name] for name in _POSITION)
+        yield note(
+            "far_jump",
+            f"{place} jump by {jump_m / 1000:.4g} km, as in another zone of UTM; what follows "
+            "counts as another drive",
+            "Write all positions in one zone.",
+        )
+
+
+def _check_common_time(recording):
+    """Find positions and encoders that were never measured in one drive: by two clocks."""
+    counts = recording.rows.groupby("segment")[[_X, _NU]].count()
+    if (counts > 0).all(axis=1).any() or not counts[_X].any():
+        return
+    spans = []
+    for name in (_X, _NU):
+        t_s = recording.rows.loc[recording.rows[name].notna(), "t_s"]
+        spans.append(f"from {t_s.min():.6g} to {t_s.max():.6g} s")
+    yield refused(
+        f"the log's positions ({spans[0]}) and its encoders ({spans[1]}) have no time in common: "
+        "they are by two clocks",
+        "two_clocks",
+        "Record both by one clock, such as the computer's, or add the difference to the times of "
+        "one file.",
+    )
+
+
 # Motion
 
 
 def _check_standing(recording):
-    """Find a robot that never moves, or that moves too little."""
+    """Find a robot that never moves."""
     rows = recording.rows
     # In windows the noise of the encoders cancels.
     farthest = max(travelled(rows, column, _WINDOW_S) for column in (_NU, _OMEGA))
-    driven_m = travelled(rows, _NU)
-    turned_rad = travelled(rows, _OMEGA)
     if farthest < _STANDING and len(rows) >= _LEAST_ROWS:
         speeds = ", ".join(dict.fromkeys(recording.columns[name] for name in (_NU, _OMEGA)))
         yield refused(
             f"the log's {speeds} should be of a robot that moves: it drove and turned "
             f"{farthest:.2g} m and rad at most"
         )
-        return
+
+
+def _check_excited(recording):
+    """Find a robot that moves too little."""
+    driven_m = travelled(recording.rows, _NU)
+    turned_rad = travelled(recording.rows, _OMEGA)
     if driven_m < _LEAST_DRIVEN_M:
         yield note(
             "too_short",
@@ -269,7 +311,7 @@ def _check_encoders(recording):
         ("track_dead", "the right encoder shows 0 for at least", one_side & (ratio < -0.2)),
     ):
         if shows_0.sum() > n // 2:
-            yield note(
+            yield warning(
                 code,
                 f"{what} {shows_0.sum() * step_s:.0f} s",
                 "Look at the cable; mark these rows with encoders_ok = 0.",
@@ -313,7 +355,7 @@ def _check_jumps(recording):
         )
     moved_m = way_m[is_over_pause].max()
     if moved_m > max(_MOVED_M, noise_m):
-        yield note(
+        yield warning(
             "moved_in_silence",
             f"the robot was {moved_m:.1f} m away after a pause of the recording",
             "Give each drive its own number in a column segment.",
@@ -323,10 +365,13 @@ def _check_jumps(recording):
 _CHECKS = (
     _check_counting,
     _check_clock,
+    _check_common_time,
+    _check_left_out,
     _check_standing,
     _check_declared,
     check_clock_offset,
+    causes.find,
     check_path,
     check_sensors,
 )
-_OF_MOTION = (_check_rates, _check_encoders, _check_interpolated, _check_jumps)
+_OF_MOTION = (_check_excited, _check_rates, _check_encoders, _check_interpolated, _check_jumps)

@@ -3,7 +3,7 @@
 `rhec.replay` refuses a log for its first error. The doctor goes on and lists all that
 `rhec.logs.checks` finds.
 
-    rhec doctor FILE [--json]
+    rhec log FILE --check [--json]
 
 ends with exit code 0 if there are no findings, 1 if there are, 2 if the file cannot be read.
 """

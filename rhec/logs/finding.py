@@ -8,8 +8,8 @@ class Severity(StrEnum):
     """What follows from a Finding."""
 
     ERROR = "error"  # `rhec.replay` and `rhec.calibrate` refuse the log
-    WARNING = "warning"  # they warn
-    NOTE = "note"  # only the doctor tells it
+    WARNING = "warning"  # they warn, and `rhec.log` does not trust it
+    NOTE = "note"  # only `rhec.doctor` and `rhec.log` tell it
 
 
 class Finding(NamedTuple):
@@ -30,6 +30,11 @@ class Finding(NamedTuple):
 def note(code: str, fact: str, remedy: str) -> Finding:
     """The Finding of something that does not keep the log from being used."""
     return Finding(Severity.NOTE, code, fact, remedy)
+
+
+def warning(code: str, fact: str, remedy: str) -> Finding:
+    """The Finding of something for which the estimates are not to be trusted."""
+    return Finding(Severity.WARNING, code, fact, remedy)
 
 
 def refused(

@@ -9,10 +9,11 @@ from rhec.files import replacing
 from rhec.logs.reader import degrees_at
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
 
-# What write_estimates may write.
-FILES = ("estimates.csv", "estimates.parquet", "estimated.tum", "measured.tum", "traction.geojson")
-# What write_summary writes besides.
-FILES_OF_SUMMARY = ("summary.txt", "comparison.csv", "robot.yaml", "log.png")
+# What write_estimates may write, and write_summary besides.
+FILES_OF_ESTIMATES = (
+    "estimates.csv", "estimates.parquet", "estimated.tum", "measured.tum", "traction.geojson"
+)  # fmt: skip
+FILES = (*FILES_OF_ESTIMATES, "summary.txt", "summary.json", "robot.yaml", "log.png")
 _TRACTION = ["t_s", *ESTIMATE[:2], *ESTIMATE[4:], *SIGMA[:2], *SIGMA[4:6]]
 
 
@@ -49,17 +50,16 @@ def _write_path(file, estimates, place, yaw_rad):
 
 
 def write_summary(summary, folder):
-    """Write summary.txt, comparison.csv, robot.yaml for ROS, log.png, and the estimates.
+    """Write summary.txt, summary.json, robot.yaml for ROS, log.png, and the estimates.
 
     Args:
         summary: Summary with estimates, as `rhec.log` returns it.
         folder: Path of the folder, which is created if needed.
     """
     write_estimates(summary.estimates, folder)
-    _write_text(folder / "summary.txt", f"{summary}\n")
+    _write_text(folder / "summary.txt", f"{summary}\n\n{summary.details}\n")
+    _write_text(folder / "summary.json", f"{summary.to_json()}\n")
     _write_text(folder / "robot.yaml", summary.yaml)
-    with replacing(folder / "comparison.csv") as unfinished:
-        summary.comparison.table.to_csv(unfinished, index_label="estimator")
     with replacing(folder / "log.png") as unfinished:
         summary.plot().savefig(unfinished, format="png")
 

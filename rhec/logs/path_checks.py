@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from rhec.logs import minimum
-from rhec.logs.finding import Finding, Severity, note, refused
+from rhec.logs.finding import note, refused, warning
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -83,7 +83,7 @@ _CHECKS = (
         0.1,
         {
             0.0: "{yaw_rate} may be counted clockwise and should be counter-clockwise, or {place} "
-            "may be swapped",
+            "or left and right may be swapped",
             0.12: "{yaw_rate} may be in degrees per second and should be in rad/s",
             1.7: None,
             np.inf: "{yaw_rate} may be in another unit and should be in rad/s",
@@ -113,7 +113,7 @@ class _Motion(NamedTuple):
 
     delay_s: float  # the likeliest delay of the positions
     sigma_s: float  # its standard deviation
-    in_time: tuple  # (μ, κ) by `_compare` without a delay
+    in_time: tuple  # (μ, κ) by `compare` without a delay
     late: tuple  # and with this delay
 
 
@@ -127,7 +127,7 @@ class _Track(NamedTuple):
     turned: np.ndarray  # (m,) angle turned until then [rad]
 
 
-def _tracks(rows):
+def tracks_of(rows):
     """The _Track of each segment that has three positions and three encoder measurements."""
     tracks = []
     for _, part in rows.groupby("segment"):
@@ -192,7 +192,7 @@ def _fit(x, y):
     return b[0], np.sqrt(max(variance, 0)), squares
 
 
-def _compare(tracks, length_s, delay_s):
+def compare(tracks, length_s, delay_s):
     """Compare path and encoders over intervals of one length, for late positions.
 
     Returns:
@@ -225,16 +225,16 @@ def _compare(tracks, length_s, delay_s):
 @np.errstate(all="ignore")
 def _motion(rows):
     """The _Motion of a log; None if it is too short."""
-    tracks = _tracks(rows)
+    tracks = tracks_of(rows)
     for length_s in _LENGTHS_S:
-        compared = [_compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
+        compared = [compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
         if compared[0] is None:
             return None
         if max(mu.share for mu, _, _ in compared) > _CLEAR_SHARE:
             break
     losses = np.array([unexplained for _, _, unexplained in compared])
     delay_s, sigma_s = minimum.least(_DELAYS_S, losses)
-    late = _compare(tracks, length_s, delay_s)[:2]
+    late = compare(tracks, length_s, delay_s)[:2]
     return _Motion(delay_s, sigma_s, compared[_NO_DELAY][:2], late)
 
 
@@ -280,18 +280,24 @@ def check_path(recording):
             yield refused(f"the log's {cause}: {check.measured}".format(**named))
         elif slope.share > 0.3 and slope.value - _ERRORS * slope.sigma > _MOST_TRACTION:
             yield note(*(text.format(**named) for text in check.above))
-    if is_late:
-        late = f"{abs(motion.delay_s):.2f} ± {2 * motion.sigma_s:.2f} s"
-        yield Finding(
-            Severity.WARNING,
+    if is_late and motion.delay_s > 0:
+        yield warning(
             "late_positions",
-            f"the log's {place} come {late} {'later' if motion.delay_s > 0 else 'earlier'} than "
-            f"{', '.join(dict.fromkeys([speed, yaw_rate]))}; "
-            f"position_delay_s={motion.delay_s:.2f} corrects this",
-            "rhec.calibrate measures the delay together with the place of the antenna.",
+            f"the log's {place} come {motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s later than "
+            f"{', '.join(dict.fromkeys([speed, yaw_rate]))}",
+            f"--calibrate measures the delay and makes up for it; --position-delay-s "
+            f"{motion.delay_s:.2f} alone does the latter.",
+        )
+    elif is_late:
+        yield note(
+            "early_positions",
+            f"the log's {', '.join(dict.fromkeys([speed, yaw_rate]))} seem to come "
+            f"{-motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s later than {place}",
+            "Either they do, or the robot was steered by its positions, so that its speeds answer "
+            "them: then nothing is to be done.",
         )
     if slopes[0].share > _OWN_SHARE and all(abs(each.value - 1) < _OWN_SLOPE for each in slopes):
-        yield note(
+        yield warning(
             "own_integral",
             "the positions are the integral of the encoders: μ and κ are 1 all the time",
             "An odometry's pose is no measurement: take positions from a receiver.",
@@ -324,7 +330,7 @@ def check_clock_offset(recording):
     yield refused(
         f"the log's {place} are by a clock about {abs(best_s)} s {way} that of "
         f"{recording.columns[_ENCODERS[0]]}{why}; "
-        f"position_delay_s={best_s} corrects this",
+        f"--position-delay-s {best_s} corrects this",
         "clock_offset",
         "Record all sensors by one clock, such as the computer's.",
     )

@@ -19,19 +19,23 @@ from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
-from rhec.logs.column_names import OTHER_NAMES
+from rhec.logs.column_names import OTHER_NAMES, column_of, plain_name
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
-_NUMBER_WITH_COMMA = re.compile(r"\d,\d")
-_TIME = re.compile(r"(?:t|time|stamp|timestamp|date_?time)(?:_(s|ms|us|ns))?", re.IGNORECASE)
-_MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 _MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
-_LATITUDE = ("latitude", "lat")
-_LONGITUDE = ("longitude", "lon", "lng")
-_ALTITUDE = ("altitude", "alt")
+_TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
+_NUMBER_WITH_COMMA = re.compile(r"\d,\d")
+# A mark of thousands, then a mark of decimals, such as 1,234.5 and 1.234,5.
+_THOUSANDS = {
+    ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
+    ".": re.compile(r"(?<![\d.,])\d{1,3}(\.\d{3})+,\d"),
+}
+_READ = ("t_s", "latitude", "longitude", "altitude")  # by other names, too
+_UNIT_OF_TIME = re.compile(r"[ _(\[]+(s|ms|us|ns)[)\]]*$", re.IGNORECASE)
+_MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 # The ellipsoid WGS 84
 _AXIS_M = 6378137.0
 _ECCENTRICITY_2 = 6.69437999014e-3
@@ -44,30 +48,29 @@ def read(
     *,
     columns: dict[str, str] | None = None,
     topics: tuple[str, ...] | None = None,
-    frames: tuple[str, str] | None = None,
     wheel_radius_m: Positive | None = None,
     wheel_separation_multiplier: Positive | None = None,
 ) -> pd.DataFrame:
     """Read a recorded log from a file into the columns that `rhec.replay` takes.
 
     Args:
-        path: A .csv or .parquet file; or a bag: .bag (ROS 1), or a folder, .db3 or .mcap (ROS 2).
-            The reader infers the separator of a .csv (tab, ; | , or space) and its decimal comma.
-            The time (column `t_s`, `time`, `timestamp` …) may be in s, ms, us, ns or ISO 8601.
-            `latitude`, `longitude` [deg] may replace `x_m`, `y_m`, and `sec`, `nanosec` the time.
-            Without a line of names, as of `ros2 topic echo --csv`, they are "0", "1", "2" …
+        path: A .csv, .txt, .dat, .tsv or .parquet file; or a bag: .bag (ROS 1), or a folder, .db3
+            or .mcap (ROS 2); or a list of several files of one drive, such as one of positions and
+            one of wheels, by one clock. The reader infers the separator of a table as text (tab, ;
+            | , or space) and the marks of decimals and thousands, and leaves out lines that begin
+            with #. The time (column `t_s`, `time`, `timestamp` …) may be in s, ms, us, ns or
+            ISO 8601. `latitude`, `longitude` [deg] may replace `x_m`, `y_m`, and `sec`, `nanosec`
+            the time. Without a line of names, as of `ros2 topic echo --csv`, they are "0", "1" …
         columns: {column of a recording: name in the file} where the names differ, such as
             {"x_m": "east"}. In a bag a name may be the path of a field of any message whose type
             is defined there: the topic, then fields and places in arrays, such as
             {"x_m": "/odom.pose.pose.position.x", "v_left_mps": "/wheels.velocity[0]"}. A time
             becomes seconds, and a quaternion its yaw [rad]. What such columns fill needs no topic.
+            A minus before a name turns the sign.
         topics: Topics of a bag with the positions and with the encoder speeds. By default each is
             the only topic of its type: NavSatFix, PoseStamped or Odometry for positions;
             JointState, TwistStamped or the twist of an Odometry for speeds. A third one, of type
-            Imu, gives `gyro_radps`, about the vertical by /tf_static or as gravity shows it.
-        frames: Of a bag whose positions are in /tf: the frame in which the robot is, and that of
-            the robot, such as ("map", "base_link"). There is a position at each transform from the
-            first one. Others on the way, such as those of odometry, are taken as they are then.
+            Imu, gives `gyro_radps`, about its z axis.
         wheel_radius_m: Radius of the wheels [m], needed for the speeds [rad/s] of a JointState. It
             also multiplies v_left_mps and v_right_mps where these are fields.
         wheel_separation_multiplier: By which the robot's driver has multiplied its track width. The
@@ -81,27 +84,49 @@ def read(
         the first position, in the plane tangent to WGS 84 there; lengths are 4 mm too short in
         10 km. `.attrs["inferred"]` lists what was inferred. `.attrs["origin"]` has the latitude,
         longitude [deg] and altitude [m] of the first position, if the log has them.
-        `.attrs["lever_arm_m"]` has the place of the antenna ahead and left of base_link [m], if
-        /tf_static in the bag tells it.
 
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns. For a bag that
             was cut off it names the command that may repair it.
     """
+    given = (columns or {}, topics, wheel_radius_m)
+    if isinstance(path, list | tuple):
+        log = _together([_read_file(each, *given, is_whole=False) for each in path])
+        absent = [name for name in columns or {} if name not in log]
+        if absent:
+            raise ValueError(
+                f"columns[{absent[0]!r}] was {columns[absent[0]]!r}; no file has it, together they "
+                f"have {', '.join(log)}"
+            )
+    else:
+        log = _read_file(path, *given)
+    inferred = log.attrs["inferred"]
+    log = _in_metres(log, inferred)
+    if wheel_separation_multiplier is not None:
+        log = _without_multiplier(log, wheel_separation_multiplier, inferred)
+    log.attrs.pop("begin_s", None)
+    log.attrs["inferred"] = inferred
+    return log
+
+
+def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
+    """The log of one file, with its time in seconds.
+
+    Args:
+        path, columns, topics, wheel_radius_m: As in `read`.
+        is_whole: Whether it has to have all of the columns.
+    """
     file = _checked_path(path)
     is_bag = file.suffix in SUFFIXES or file.is_dir()
-    for name, given in (("topics", topics), ("frames", frames)):
-        if given is not None and not is_bag:
-            raise ValueError(
-                f"{name} was {given!r}; only a bag has {name}, and log was {str(file)!r}"
-            )
+    if topics is not None and not is_bag:
+        raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
     try:
         if is_bag:
-            log, inferred = read_bag(file, topics, frames, wheel_radius_m, columns or {})
-        elif file.suffix == ".csv":
-            log, inferred = _read_csv(file)
+            log, inferred = read_bag(file, topics, wheel_radius_m, columns)
+        elif file.suffix in _TEXTS:
+            log, inferred = _read_text(file)
         else:
-            log, inferred = _read_parquet(file, columns or {})
+            log, inferred = _read_parquet(file, columns)
     except Exception as error:  # any error that a reader raises for a broken file
         problem = _printable(shorten(str(error), _LONGEST_PROBLEM, placeholder=" …"))
         raise ValueError(f"log was {str(file)!r}, which cannot be read: {problem}") from None
@@ -109,17 +134,44 @@ def read(
     log.columns = [_printable(str(name)) for name in log]
     inferred = {name: _printable(value) for name, value in inferred.items()}
     read = log.attrs.pop("fields", [])
-    for name, column in (columns or {}).items():
+    for name, column in columns.items():
         if name in read:
             continue
-        if column not in log:
+        if column in log:
+            log[name] = log[column]
+        elif column.startswith("-") and column[1:] in log:
+            log[name] = -pd.to_numeric(log[column[1:]], errors="coerce")
+        elif is_whole:
             raise ValueError(f"columns[{name!r}] was {column!r}; the log has {', '.join(log)}")
-        log[name] = log[column]
-    log = _in_metres(_in_seconds(log, inferred), inferred)
-    if wheel_separation_multiplier is not None:
-        log = _without_multiplier(log, wheel_separation_multiplier, inferred)
+    log = _in_seconds(log, inferred)
     log.attrs["inferred"] = inferred
     return log
+
+
+def _together(logs):
+    """Several logs of one drive as one, in the order of time.
+
+    What an earlier log has, later ones do not bring again. All times begin with the first one.
+    """
+    begins = [log.attrs.get("begin_s", 0.0) for log in logs]
+    parts = []
+    names = set()
+    inferred = {}
+    for number, (log, begin_s) in enumerate(zip(logs, begins), 1):
+        if "t_s" not in log:
+            raise ValueError(
+                f"file {number} of the log had no column of its time, by which it could be put "
+                f"beside the others; it has {', '.join(map(str, log))}"
+            )
+        part = log[["t_s", *(name for name in log if name not in {*names, "t_s"})]].copy()
+        part["t_s"] += begin_s - min(begins)
+        parts.append(part)
+        names |= {*log}
+        inferred |= {f"file {number}, {role}": told for role, told in log.attrs["inferred"].items()}
+    merged = pd.concat(parts, ignore_index=True)
+    merged = merged.sort_values("t_s", kind="stable", ignore_index=True)
+    merged.attrs["inferred"] = inferred
+    return merged
 
 
 def _checked_path(path):
@@ -128,13 +180,13 @@ def _checked_path(path):
         raise ValueError(f"log was {shown(path)}; it should be a path")
     file = Path(path)
     try:
-        is_log = file.suffix in (".csv", ".parquet", *SUFFIXES) and file.is_file()
+        is_log = file.suffix in (*_TEXTS, ".parquet", *SUFFIXES) and file.is_file()
         is_log = is_log or file.is_dir() and bool(files_of(file))
     except (OSError, ValueError):  # thousands of letters, or a NUL
         raise ValueError(f"log was {shown(path)}; it cannot be a path") from None
     if not is_log:
         raise ValueError(
-            f"log was {shown(str(file))}; it should be an existing .csv, .parquet, "
+            f"log was {shown(str(file))}; it should be an existing {', '.join(_TEXTS)}, .parquet, "
             f"{', '.join(SUFFIXES)} file or a ROS 2 bag's folder"
         )
     return file
@@ -153,8 +205,9 @@ def _without_multiplier(log, multiplier, inferred):
 
 
 def read_if_path(log: Any) -> Any:
-    """A log that may be the path of a file, which is read as `read` does."""
-    return read(log) if isinstance(log, str | Path) else log
+    """A log that may be the path of a file, or paths, which are read as `read` does."""
+    is_paths = isinstance(log, list | tuple) and all(isinstance(each, str | Path) for each in log)
+    return read(log) if is_paths or isinstance(log, str | Path) else log
 
 
 def _printable(text):
@@ -165,21 +218,23 @@ def _printable(text):
     )
 
 
-def _read_csv(file):
-    """The table in a .csv file, and its separators as {property: inferred value}."""
+def _read_text(file):
+    """The table in a file of text, and its separators as {property: inferred value}."""
     with file.open("rb") as begin:
         is_wide = begin.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     # Letters of another encoding stand in names and remarks, which are not read.
     encoding, errors = ("utf-16", "strict") if is_wide else ("utf-8-sig", "replace")
     with file.open(encoding=encoding, errors=errors) as lines:
         head = list(itertools.islice(lines, 50))
+        is_remark = [line.startswith("#") for line in itertools.chain(head, lines)]
+    names, remarks = _names_among(head, is_remark)
+    head = [line for line in head if not line.startswith("#")]
+    first = names or (head[0] if head else "")
     # The space is tried last, because a column name may contain one.
-    names = head[0].strip() if head else ""
-    separator = next((mark for mark in _SEPARATORS if mark in names), ",")
-    has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in head[1:])
-    decimal = "," if separator != "," and has_commas else "."
-    first = pd.to_numeric(pd.Series(names.split(separator)), errors="coerce")
-    has_header = first.isna().any()
+    separator = next((mark for mark in _SEPARATORS if mark in first.strip()), ",")
+    decimal, thousands = _marks(head[1:], separator)
+    fields = pd.to_numeric(pd.Series(first.split(separator)), errors="coerce")
+    has_header = not names and fields.isna().any()
     n_columns = max((line.count(separator) for line in head), default=0) + 1
     most_rows = MOST_VALUES // n_columns
     try:
@@ -189,9 +244,11 @@ def _read_csv(file):
                 file,
                 sep=r"\s+" if separator == " " else separator,
                 decimal=decimal,
+                thousands=thousands,
                 encoding=encoding,
                 encoding_errors=errors,
                 skipinitialspace=True,
+                skiprows=remarks,
                 header=0 if has_header else None,
                 index_col=False,  # else the first column of rows that are too long is no column
                 nrows=most_rows + 1,
@@ -207,14 +264,54 @@ def _read_csv(file):
             f"it has more than {most_rows} rows of {n_columns} columns, and should have at most "
             f"{MOST_VALUES} values"
         )
-    # `rostopic echo -p` begins the line of names with %, other loggers begin it with #.
+    if names:
+        table.columns = _split(names.lstrip("#"), separator)
+    # `rostopic echo -p` begins the line of names with %.
     table.columns = [str(name).strip().lstrip("%# ") for name in table]
     inferred = dict(separator=_SEPARATORS[separator], decimal=_DECIMALS[decimal])
+    if thousands:
+        inferred["thousands"] = _DECIMALS[thousands]
     if is_wide:
         inferred["encoding"] = "UTF-16"
-    if not has_header:
+    if not (has_header or names):
         inferred["header"] = "none, the names of the columns are 0, 1, 2 …"
     return table, inferred
+
+
+def _split(line, separator):
+    """The entries of a line."""
+    return line.split() if separator == " " else line.strip().split(separator)
+
+
+def _names_among(head, is_remark):
+    """The line of names if that is a remark, else "", and the places of all remarks.
+
+    The last remark before the first other line names the columns if it has as many entries as that
+    line, which is one of numbers.
+
+    Args:
+        head: The first lines.
+        is_remark: Whether each line of the file begins with #.
+    """
+    remarks = [place for place, remark in enumerate(is_remark) if remark]
+    begin = next((place for place, remark in enumerate(is_remark) if not remark), 0)
+    if not 0 < begin < len(head):
+        return "", remarks
+    separator = next((mark for mark in _SEPARATORS if mark in head[begin].strip()), ",")
+    names = _split(head[begin - 1].lstrip("#").strip(), separator)
+    entries = _split(head[begin], separator)
+    numbers = pd.to_numeric(pd.Series(entries), errors="coerce")
+    is_header = len(names) == len(entries) > 1 and numbers.notna().any()
+    return head[begin - 1] if is_header else "", remarks
+
+
+def _marks(lines, separator):
+    """The marks of decimals and of thousands, or None, in lines with this separator."""
+    for mark, pattern in _THOUSANDS.items():
+        if separator != "," and any(pattern.search(line) for line in lines):
+            return "," if mark == "." else ".", mark
+    has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in lines)
+    return "," if separator != "," and has_commas else ".", None
 
 
 def _read_parquet(file, columns):
@@ -229,11 +326,13 @@ def _read_parquet(file, columns):
     with pq.ParquetFile(file) as parquet:
         schema = parquet.schema_arrow
         numbers = [field.name for field in schema if _is_number(field.type)]
-        wanted = {*columns.values(), *OTHER_NAMES, *_LATITUDE, *_LONGITUDE, *_ALTITUDE}
+        wanted = {name.removeprefix("-") for name in columns.values()} | {*OTHER_NAMES}
+        read_alone = {other for name in _READ for other in OTHER_NAMES[name]}
         texts = [
             field.name
             for field in schema
-            if _is_text(field.type) and (field.name in wanted or _TIME.fullmatch(field.name))
+            if _is_text(field.type)
+            and (field.name in wanted or plain_name(field.name) in read_alone)
         ]
         _refuse_large(parquet.metadata, {*numbers, *texts})
     # Of equal texts a dictionary has one: they may be long, and many, in a small file.
@@ -296,23 +395,32 @@ def _with_plain_text(table, name):
 
 
 def _in_seconds(log, inferred):
-    """The log with its time in a column t_s [s], which starts at 0 unless it was in seconds."""
-    names = [name for name in log if _TIME.fullmatch(str(name))]
-    if not names:
+    """The log with its time in a column t_s [s], which starts at 0 unless it was in seconds.
+
+    `.attrs["begin_s"]` is where its 0 is by the clock of the file.
+    """
+    name = "t_s" if "t_s" in log else column_of(log, "t_s")
+    if name is None:
         return _from_sec_and_nanosec(log, inferred)
-    name = "t_s" if "t_s" in names else names[0]
     time = log[name]
     numbers = pd.to_numeric(time, errors="coerce")
+    begin_s = 0.0
     if pd.api.types.is_datetime64_any_dtype(time) or numbers.isna().all():
         stamps = pd.to_datetime(time, format="ISO8601", utc=True, errors="coerce")
         t_s = (stamps - stamps.min()).dt.total_seconds()
+        begin_s = stamps.min().timestamp() if stamps.notna().any() else 0.0
         unit = "ISO 8601"
     else:
         unit = _unit(name, numbers)
-        # Nanoseconds since 1970 have too many digits for a float; their difference does not.
-        t_s = numbers if unit == "s" else (numbers - numbers.min()) * SECONDS[unit]
-    inferred["time"] = f"{unit}, column {name}"
-    return log.assign(t_s=t_s)
+        t_s = numbers
+        if unit != "s":
+            # Nanoseconds since 1970 have too many digits for a float; their difference does not.
+            t_s = (numbers - numbers.min()) * SECONDS[unit]
+            begin_s = float(numbers.min()) * SECONDS[unit]
+    inferred.setdefault("time", f"{unit}, column {name}")
+    log = log.assign(t_s=t_s)
+    log.attrs["begin_s"] = begin_s
+    return log
 
 
 def _from_sec_and_nanosec(log, inferred):
@@ -325,29 +433,32 @@ def _from_sec_and_nanosec(log, inferred):
         return log  # `rhec.replay` reports the missing columns
     sec, nanosec = (pd.to_numeric(log[name], errors="coerce") for name in pair)
     inferred["time"] = f"columns {pair[0]}, {pair[1]}"
-    return log.assign(t_s=sec - sec.min() + 1e-9 * nanosec)
+    log = log.assign(t_s=sec - sec.min() + 1e-9 * nanosec)
+    log.attrs["begin_s"] = float(sec.min())
+    return log
 
 
 def _unit(name, times):
     """The unit in the name of a time column or, if rows would then be too far apart, by values."""
     t = times.to_numpy(dtype=float, na_value=np.nan)
     unit, period = time_unit(t, _MAX_PERIOD_S)
-    of_name = (_TIME.fullmatch(name)[1] or "").lower()
+    in_name = _UNIT_OF_TIME.search(name)
+    of_name = in_name[1].lower() if in_name else ""
     if of_name and (unit is None or period * SECONDS[of_name] <= _MAX_PERIOD_S):
         return of_name
     return unit or "s"
 
 
-def _angle(log, names, largest):
-    """The first column with one of these names [deg], as an array; None without such a column."""
-    column = next((column for column in log if str(column).lower() in names), None)
+def _angle(log, name, largest):
+    """The column of an angle [deg], as an array; None without such a column."""
+    column = column_of(log, name)
     if column is None:
         return None
     angle = pd.to_numeric(log[column], errors="coerce").to_numpy(dtype=float)
     size = pd.Series(angle).abs().median()
     if size > largest:
         raise ValueError(
-            f"the log's {names[0]} is {size:.7g} (median); it may be in degrees and minutes or in "
+            f"the log's {name} is {size:.7g} (median); it may be in degrees and minutes or in "
             f"1e-7 degrees and should be in degrees, at most {largest}"
         )
     return angle
@@ -360,13 +471,13 @@ def _in_metres(log, inferred):
     """
     if "x_m" in log:
         return log
-    latitude = _angle(log, _LATITUDE, 90)
-    longitude = _angle(log, _LONGITUDE, 180)
+    latitude = _angle(log, "latitude", 90)
+    longitude = _angle(log, "longitude", 180)
     if latitude is None or longitude is None:
         return log
     # A receiver without a fix sends 0, 0.
     latitude = np.where((latitude == 0) & (longitude == 0), np.nan, latitude)
-    altitude = _angle(log, _ALTITUDE, np.inf)
+    altitude = _angle(log, "altitude", np.inf)
     height_m = np.zeros(len(log)) if altitude is None else np.nan_to_num(altitude)
     places = np.stack([latitude, longitude, height_m])
     origin = places[:, np.argmax(np.isfinite(latitude + longitude))]

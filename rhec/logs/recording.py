@@ -3,10 +3,13 @@
 `help(rhec.replay)` lists the columns. Faults of sensors and clocks do not raise errors:
 
 - A measurement counts as missing if it is not a finite number of plausible size.
+- A value of an encoder that is far from both its neighbours is a counter that rolled over or a bit
+  that was lost, and counts as missing; so does a position a kilometre from those about it.
 - A position that equals the previous one to the last digit is a repeated one and counts as missing.
 - A row is dropped if its time is not a number, is far from the times of the rows before it, or is
   not later than all of them.
-- A new segment begins where the clock is set back, or after ten minutes without rows.
+- A new segment begins where the clock is set back, after ten minutes without rows, or where the
+  positions jump by a kilometre and stay there, as in another zone of UTM.
 """
 
 from typing import NamedTuple
@@ -54,6 +57,9 @@ _MOST_FALLING = 0.05  # largest share of falling times in a log that counts as s
 _LEAST_ROWS = 5  # of a segment, on average
 _LEAST_USABLE = 0.1  # share of the rows with a usable time of their own: fewer are no recording
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
+_SPIKE = 1.0  # of an encoder, above and below both neighbours [m/s, rad/s]
+_FAR_M = 1000.0  # between positions, which no robot drives
+_ABOUT = 5  # positions by whose median a far one is judged
 _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
 
@@ -113,11 +119,14 @@ def prepare(log, track_width_m=None):
     limits = SPEED_MODELS["parameter"].model.limits
     limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
     present = {name: limit for name, limit in limits.items() if name in values}
-    _drop_implausible(values, columns, present)
+    left_out = _drop_implausible(values, columns, present)
+    for name in _ENCODERS:
+        left_out[name] += _drop_spikes(values, name)
     # A position with one coordinate is missing.
     values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
     values, places, n_repeated = _joined(values)
     rows, usable = _usable_rows(values, len(log), paper.DT_S)
+    left_out[_POSITION[0]], jumps_m = _split_at_jumps(rows)
     is_repeated = (rows[_POSITION].ffill().diff() == 0).all(axis=1) & rows[_POSITION[0]].notna()
     is_held = is_repeated & (rows["segment"].diff() == 0)
     rows.loc[is_held, _POSITION] = np.nan
@@ -129,6 +138,8 @@ def prepare(log, track_width_m=None):
         clock_back_s=_set_back_s(values),
         headers=_repeated_headers(log),
         segments=int(rows["segment"].max()) + 1,
+        left_out={columns[name]: n for name, n in left_out.items() if n},
+        jumps_m=jumps_m,
     )
     width = (track_width_m, "as given") if track_width_m else _recorded_width(log)
     return Recording(rows, places[usable], is_simulated, *width, faults, columns)
@@ -352,7 +363,12 @@ def _recorded_width(log):
 
 
 def _drop_implausible(values, columns, limits):
-    """Set measurements above their limit to NaN; refuse a column if most of it is above."""
+    """Set measurements above their limit to NaN; refuse a column if most of it is above.
+
+    Returns:
+        {name: how many}.
+    """
+    dropped = {}
     for name, limit in limits.items():
         size = values[name].abs()
         if (size > limit).sum() > size.notna().sum() / 2 > _LEAST_ROWS:
@@ -360,7 +376,48 @@ def _drop_implausible(values, columns, limits):
                 f"the log's {columns[name]} is {size.median():.3g} (median); it may be in another "
                 f"unit and should be at most {limit:g}"
             )
+        dropped[name] = int((size > limit).sum())
         values.loc[~(size <= limit), name] = np.nan
+    return dropped
+
+
+def _drop_spikes(values, name):
+    """Set single values far from both neighbours to NaN, and return how many there are.
+
+    A row may so depend on the next one, and on none after it.
+    """
+    numbers = values.loc[values[name].notna(), ["segment", name]]
+    by_segment = numbers.groupby("segment")[name]
+    before = numbers[name] - by_segment.shift(1)
+    after = numbers[name] - by_segment.shift(-1)
+    is_spike = (before * after > 0) & (np.minimum(before.abs(), after.abs()) > _SPIKE)
+    values.loc[is_spike.index[is_spike], name] = np.nan
+    return int(is_spike.sum())
+
+
+def _split_at_jumps(rows):
+    """Begin new segments where the positions jump by more than _FAR_M, in place.
+
+    Positions that are as far from those about them are set to NaN instead.
+
+    Returns:
+        How many are, and by how much the positions jump [m], a list.
+    """
+    there = rows.loc[rows[_POSITION[0]].notna(), ["segment", *_POSITION]]
+    if there.empty:
+        return 0, []
+    about = there.groupby("segment")[_POSITION].transform(
+        lambda place: place.rolling(_ABOUT, center=True, min_periods=1).median()
+    )
+    is_far = (there[_POSITION] - about).abs().max(axis=1) > _FAR_M
+    rows.loc[is_far.index[is_far], _POSITION] = np.nan
+    there = there[~is_far]
+    step_m = there.groupby("segment")[_POSITION].diff().abs().max(axis=1)
+    begins = step_m[step_m > _FAR_M]
+    new = rows["segment"].diff().fillna(0.0) != 0
+    new |= rows.index.isin(begins.index)
+    rows["segment"] = new.cumsum()
+    return int(is_far.sum()), begins.tolist()
 
 
 def _shift_positions(rows, delay_s):

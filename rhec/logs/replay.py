@@ -80,7 +80,8 @@ ESTIMATOR_FIELDS = (
     "sigma_gyro",
     "sigma_heading",
 )
-_N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
+CLEARLY = 1e-6  # share by which the innovations of a worse one are larger
 # Standard deviations of the initial guess. They equal the paper's W, except for the yaw and the
 # position of the antenna.
 _SIGMA_FIRST = dict(
@@ -126,6 +127,11 @@ class Replay(NamedTuple):
     settings: dict  # {name: array} of the estimator's step
     timing: Any = None  # the Timing of the measurements, if they have rates of their own
 
+    @property
+    def window(self):
+        """The Window of an RHE."""
+        return self.structure[-1]
+
     def scanned(self, memory, stream):
         """What the scan records at a segment's samples, as a DataFrame.
 
@@ -170,7 +176,7 @@ def build_scan(names, gates, kind, *structure):
     @casadi_function("replay", ca.MX, **shapes)
     def replay_step(memory, z_and_ages, **settings):
         z, ages_s = ca.vertsplit(z_and_ages, n_z)
-        z = _moved_to_sample(motion, memory[n:], z, ages_s, model, dt_s)
+        z = moved_to_sample(motion, memory[n:], z, ages_s, model, dt_s)
         results = step.call([memory[:n], z, *settings.values()])
         outputs = dict(zip(["memory", "estimate", *step.name_out()[2:]], results))
         nan = ca.DM.nan(1)
@@ -211,7 +217,7 @@ def _estimator(kind, *structure):
     return build_step(choice), _model_of(choice), choice.dt_s, QUANTITIES, covered
 
 
-def _moved_to_sample(motion, last, z, ages_s, model, dt_s):
+def moved_to_sample(motion, last, z, ages_s, model, dt_s):
     """The measurements z (n_z,), moved by what their outputs changed since they were made.
 
     Args:
@@ -276,11 +282,12 @@ def predictor(model, names):
 # A segment
 
 
-def estimated(how, stream, first_memory, yaw_rad, sigma_yaw_rad):
+def estimated(how, stream, first_memory, yaw_rad, sigma_yaw_rad, hindsight=False):
     """What a Replay records of a segment, and its innovations; NaN before the first position.
 
     With an unknown initial yaw several are tried. A row is taken from the direction with the
-    smallest sum of squared innovations until then, so that no row depends on later measurements.
+    smallest sum of squared innovations until then, so that no row depends on later measurements;
+    or, in hindsight, from that with the smallest sum in the end.
 
     Args:
         how: The Replay. The first two measurements are the position.
@@ -289,6 +296,7 @@ def estimated(how, stream, first_memory, yaw_rad, sigma_yaw_rad):
             memory, as for `Replay.scanned`.
         yaw_rad: Guess of the initial yaw [rad], or None.
         sigma_yaw_rad: Its standard deviation [rad].
+        hindsight: Whether all rows are those of one direction, as a smoother has to begin with.
     """
     has_position = np.isfinite(stream[:, :2]).all(axis=1)
     begin = np.argmax(has_position) if has_position.any() else len(stream)
@@ -302,14 +310,31 @@ def estimated(how, stream, first_memory, yaw_rad, sigma_yaw_rad):
     if yaw_rad is not None:
         found = run_from(yaw_rad, sigma_yaw_rad)
     else:
-        yaws = 2 * np.pi / _N_HEADINGS * np.arange(_N_HEADINGS)
-        runs = [run_from(each, np.pi / _N_HEADINGS) for each in yaws]
+        yaws = 2 * np.pi / N_HEADINGS * np.arange(N_HEADINGS)
+        runs = [run_from(each, np.pi / N_HEADINGS) for each in yaws]
         squares = [np.square(_innovations(how, run, stream)) for run in runs]
-        best = np.argmin(np.nancumsum(np.nansum(squares, axis=2), axis=1), axis=0)
+        best = _best(np.nancumsum(np.nansum(squares, axis=2), axis=1))
+        best = np.full(len(stream), best[-1]) if hindsight else best
         chosen = np.stack([run.to_numpy() for run in runs])[best, np.arange(len(stream))]
         found = pd.DataFrame(chosen, columns=runs[0].columns)
     innovations = pd.DataFrame(_innovations(how, found, stream), columns=INNOVATION)
     return pd.concat([innovations, found], axis=1)
+
+
+def _best(sums):
+    """Which of the sums (m, n) is the smallest at each sample (n,).
+
+    One that was the smallest remains it until another is clearly smaller: while a robot stands, all
+    directions are as good, and rounding would decide.
+    """
+    best = np.zeros(sums.shape[1], dtype=int)
+    now = 0
+    about_least = sums <= (1 + CLEARLY) * sums.min(axis=0)
+    for k, first in enumerate(about_least.argmax(axis=0)):
+        if not about_least[now, k]:
+            now = int(first)
+        best[k] = now
+    return best
 
 
 def _innovations(how, estimates, stream):
@@ -320,10 +345,11 @@ def _innovations(how, estimates, stream):
     """
     found = np.full((len(stream), 2), np.nan)
     if len(stream) > 1:
-        z, ages_s = np.hsplit(stream[1:], 2)
+        z, ages_s = np.hsplit(stream, 2)
+        held = pd.DataFrame(z).ffill().to_numpy()[1:]
         before = estimates[how.hats].to_numpy()[:-1]
-        _, predicted = how.predict(before, z, how.dt_s - ages_s[:, 0])
-        found[1:] = z[:, :2] - predicted[:, :2]
+        _, predicted = how.predict(before, held, how.dt_s - ages_s[1:, 0])
+        found[1:] = z[1:, :2] - predicted[:, :2]
     return found
 
 
@@ -366,12 +392,10 @@ def replay_of(scenario):
     )
 
 
-def _first_memory(how, scenario, first, nu, place, yaw_rad, sigma_yaw_rad):
-    """The memory of a scenario's scan before the first sample.
+def first_guess(first, nu, place, yaw_rad, sigma_yaw_rad):
+    """A guess of all quantities before the first sample and its standard deviations, by name.
 
     Args:
-        how: The Replay of the scenario.
-        scenario: The Scenario of the estimator.
         first: The InitialGuess.
         nu: Guess of the speed [m/s].
         place, yaw_rad, sigma_yaw_rad: As in `estimated`.
@@ -379,7 +403,18 @@ def _first_memory(how, scenario, first, nu, place, yaw_rad, sigma_yaw_rad):
     arm_m = first.lever_arm_m or first.about_arm_m
     guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m)))
     guess |= sensors.GYRO_GUESS | {YAW_DRIFT: 0.0}
-    sigma = _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
+    return guess, _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
+
+
+def first_memory_of(how, scenario, *of_guess):
+    """The memory of a scenario's scan before the first sample.
+
+    Args:
+        how: The Replay of the scenario.
+        scenario: The Scenario of the estimator.
+        *of_guess: The arguments of `first_guess`.
+    """
+    guess, sigma = first_guess(*of_guess)
     choice = Choice.of(scenario)
     memory = pack_array(estimator_of(choice.estimator).init(choice, guess, sigma))
     return np.append(memory, [guess[name] for name in how.quantities])
@@ -441,6 +476,22 @@ def _first_yaw(first, number, samples):
     return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
 
 
+def used_samples(samples, scenario):
+    """The samples of each segment as a scenario's estimator uses them: of a gyro what is accepted.
+
+    Which are is told in a column of the samples.
+    """
+    used = []
+    for part in samples:
+        if "gyro" in scenario.sensors:
+            gyro = part[SENSORS["gyro"]]
+            omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
+            part[GYRO_ACCEPTED] = gyro_check.are_accepted(gyro, omega)
+            part = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
+        used.append(part)
+    return used
+
+
 def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=None):
     """Estimates of a Recording by a scenario's estimator.
 
@@ -456,18 +507,15 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
     """
     how = replay_of(scenario)
     noise_m = position_sigma_m(recording.rows)
+    samples = samples or recording.samples()
     parts = []
-    for number, part in enumerate(samples or recording.samples()):
-        used = part
-        if "gyro" in scenario.sensors:
-            gyro = part[SENSORS["gyro"]]
-            omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
-            part[GYRO_ACCEPTED] = gyro_check.are_accepted(gyro, omega)
-            used = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
+    for number, (part, used) in enumerate(zip(samples, used_samples(samples, scenario))):
         stream = with_ages(used, how.measured)
-        first_memory = partial(_first_memory, how, scenario, first, np.nan_to_num(stream[0, 2]))
+        first_memory = partial(first_memory_of, how, scenario, first, np.nan_to_num(stream[0, 2]))
         yaw_rad = _first_yaw(first, number, part)
-        estimates = estimated(how, stream, first_memory, yaw_rad, first.sigma_yaw_rad)
+        estimates = estimated(
+            how, stream, first_memory, yaw_rad, first.sigma_yaw_rad, hindsight=smooth
+        )
         part = pd.concat([part, estimates], axis=1)
         # A heading tells the yaw whatever the course is.
         by_course = 0.0 if "heading" in scenario.sensors else yaw_sigma_rad(part, noise_m)

@@ -1,85 +1,133 @@
-"""A recorded log at a glance: what was taken for what, the traction, and whether to trust it.
+"""A recorded log on one page: what it is, the traction, how well the yaw is known, and a verdict.
 
     rhec log FILE
 
-reads and checks the log, smooths it, runs the RHE and two filters as the robot would have on its
-way, hides positions from them, and says what follows.
+reads and checks the log, smooths it, runs the RHE as the robot would have on its way, hides
+positions from it, and says what follows.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import dataclasses
+import json
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import pandas as pd
-from scipy.special import bdtr
 
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
-from rhec.logs.comparison import Comparison, compare
+from rhec.logs.calibration import LOG_ARGUMENTS, calibrate_recorded
+from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.doctor import Diagnosis, doctor
+from rhec.logs.finding import Severity
+from rhec.logs.judge import HIDDEN_S, judge
+from rhec.logs.likelihood import Calibration
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import delayed, prepare, travelled
+from rhec.logs.recording import Recording, delayed, prepare, travelled
 from rhec.logs.remarks import unknown_yaw
 from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS
+from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMA_GYRO
+from rhec.simulation.scenario import Scenario
+from rhec.tracked_robot.tuning import sigma_v_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
-_LEAST_COVERED = 0.8  # share of the causal yaw within its 95 % of the smoothed one
-_HONEST = 0.95  # share of hidden positions within their 95 %
-_BY_CHANCE = 0.05  # a share that is less likely than this is not by chance
-_EXPLAINED = """\
-hidden 2 s, 10 s: error, in the median, so long after the last position
-in 95 %: share of n hidden positions within their 95 %, which should be 0.95
-NIS: squared innovations by their variance; below 1 the assumed noise is too large
-EKF of (μ, κ): the same model, without a lever arm of the antenna; ICR: centres of rotation"""
+_LEAST_HIDDEN = 3  # stretches of hidden positions; fewer are no test
+# A larger factor of σ says that something happens of which the estimator knows nothing.
+_MOST_INFLATED = 4.0
+_MOST_TRACTION = 1.5  # a larger one, or a negative one, is none
 _ASKED = (
-    "If you know them, give the distance of the tracks (--track-width-m), the radius of wheels "
-    "whose speeds are in rad/s (--wheel-radius-m), and the factor by which the driver has already "
-    "multiplied the distance (--wheel-separation-multiplier)."
+    "Where the log does not tell them, give the distance of the tracks (--track-width-m), the "
+    "radius of wheels whose speeds are in rad/s (--wheel-radius-m), and the factor by which the "
+    "driver has already multiplied the distance (--wheel-separation-multiplier)."
 )
 
 
-@dataclass(frozen=True)
+class Judgement(NamedTuple):
+    """The estimator that was judged, of which `rhec.export` makes C."""
+
+    recording: Recording
+    scenario: Scenario
+    first: InitialGuess
+    inflation: float  # by which its standard deviations are to be multiplied
+
+
+@dataclasses.dataclass(frozen=True)
 class Summary:
     """What a log says of its robot.
 
     Args:
         taken: {role: what}: which columns were taken for what, which clock, which track width.
-        asked: A sentence: what the log does not say of the robot.
         diagnosis: The Diagnosis of the log.
-        verdict: Whether to trust the estimates, and if not, why and what helps.
-        traction: DataFrame, rows μ and κ: regression of the smoothed motion on the encoders over
-            the whole log, with its 95 % interval (low, high). None, as all below, for a log that
-            is refused.
-        comparison: Comparison of the RHE, causal, with an EKF of (μ, κ) and one of ICR.
+        verdict: Whether to trust the estimates, and if not, the strongest doubt and what helps.
+        doubts: All doubts, sentences, the strongest first.
+        numbers: {name: number} of the page. Empty, and all below None, for a log that is refused.
+        traction: DataFrame, rows μ, κ, drift [rad/m]: regression of the smoothed motion on the
+            encoders over the whole log, with its 95 % interval (low, high).
+        way: DataFrame of the samples of the RHE as a robot runs it on its way.
         samples: DataFrame of the smoothed samples.
         estimates: DataFrame, the smoothed estimates at the rows of the log, as of `rhec.replay`.
-        yaml: The robot's parameters for ROS (`rhec.logs.terms`).
+        calibration: The Calibration by which was judged, if there was to be one.
+        parameters: DataFrame of the robot's parameters with their intervals (`rhec.logs.terms`).
+        yaml: These for ROS.
+        judged: The estimator that was judged.
     """
 
     taken: dict
-    asked: str
     diagnosis: Diagnosis
     verdict: str
+    doubts: tuple = ()
+    numbers: dict = dataclasses.field(default_factory=dict)
     traction: pd.DataFrame | None = None
-    comparison: Comparison | None = None
+    way: pd.DataFrame | None = None
     samples: pd.DataFrame | None = None
     estimates: pd.DataFrame | None = None
+    calibration: Calibration | None = None
+    parameters: pd.DataFrame | None = None
     yaml: str = ""
+    judged: Judgement | None = None
 
     def __str__(self) -> str:
-        taken = [f"  {role:<16}{what}" for role, what in self.taken.items()]
-        lines = ["Taken for what:", *taken, "", "Checked:"]
-        lines += _indented(str(self.diagnosis))
+        warned = [each.sentence for each in self.diagnosis.findings if each.severity != "error"]
+        lines = [*_what_it_is(self)]
         if self.traction is not None:
-            lines += ["", "Traction (motion over ground by motion of the tracks):"]
-            lines += _indented(_text(self.traction))
-            lines += ["", "On the way, with 10 s of positions hidden again and again:"]
-            lines += _indented(_text(self.comparison.table))
-            lines += _indented(_EXPLAINED)
-        return "\n".join([*lines, "", self.asked, "", self.verdict])
+            lines += [_traction_line(self), *_test_lines(self.numbers)]
+        lines += [self.verdict]
+        lines += [f"Warnings: {' '.join(warned) or 'none.'}"] if self.numbers else []
+        return "\n".join(lines)
+
+    @property
+    def details(self) -> str:
+        """All else: what was taken for what, what was checked, parameters, calibration."""
+        taken = [f"  {role:<16}{what}" for role, what in self.taken.items()]
+        parts = [["Taken for what:", *taken], ["Checked:", *_indented(str(self.diagnosis))]]
+        if self.parameters is not None:
+            table = self.parameters.to_string(float_format="{:.4g}".format)
+            parts.append(["Parameters of the robot, with 95 % intervals:", *_indented(table)])
+        if self.calibration is not None:
+            parts.append(["Calibration:", *_indented(str(self.calibration))])
+        if self.doubts:
+            parts.append(["All doubts:", *(f"  - {doubt}" for doubt in self.doubts)])
+        parts.append([_ASKED])
+        return "\n\n".join("\n".join(part) for part in parts)
+
+    def to_json(self) -> str:
+        """All numbers and sentences as JSON; null where a number is not known."""
+        tables = {
+            name: None if table is None else json.loads(table.to_json(orient="index"))
+            for name, table in (("traction", self.traction), ("parameters", self.parameters))
+        }
+        told = dict(
+            verdict=self.verdict,
+            doubts=self.doubts,
+            taken=self.taken,
+            numbers={name: _or_null(value) for name, value in self.numbers.items()},
+            **tables,
+            calibration=None if self.calibration is None else dict(self.calibration),
+            diagnosis=json.loads(self.diagnosis.to_json()),
+        )
+        return json.dumps(told, indent=2, ensure_ascii=False)
 
     def plot(self) -> "Figure":
         """Draw traction and yaw with two standard deviations, and the path.
@@ -98,12 +146,73 @@ class Summary:
         return log_overview(self)
 
 
-def _text(table):
-    return table.to_string(formatters=dict(n="{:.0f}".format), float_format="{:.3f}".format)
-
-
 def _indented(text):
     return [f"  {line}" for line in text.splitlines()]
+
+
+def _or_null(value):
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+# The page
+
+
+def _what_it_is(summary):
+    """What the log is: how long it is, which sensors it has, and by which clock."""
+    facts = summary.diagnosis.facts
+    if not facts:
+        return []
+    noise = f"σ {max(facts['position_sigma_m'], facts['declared_sigma_m']):.2g} m"
+    sensors = [f"positions at {facts['positions_hz']:.3g} Hz ({noise})"]
+    sensors.append(f"encoders at {facts['encoders_hz']:.3g} Hz")
+    sensors += [name for name in ("gyro", "heading") if name in summary.taken]
+    size = f"{facts['duration_s']:.0f} s, {facts['driven_m']:.0f} m, {facts['turned_rad']:.0f} rad"
+    roles = ("positions", "encoders", "gyro", "heading", "time")
+    taken = [summary.taken[role] for role in roles if role in summary.taken]
+    return [f"{size}; {', '.join(sensors)}", f"from {'; '.join(taken)}"]
+
+
+def _plus_minus(row):
+    """A value with half of its 95 % interval, to two digits of the latter."""
+    half = (row["high"] - row["low"]) / 2
+    if not np.isfinite(half) or half <= 0:
+        return "unknown"
+    digits = max(0, 1 - int(np.floor(np.log10(half))))
+    return f"{row['value']:.{digits}f} ± {half:.{digits}f}"
+
+
+def _traction_line(summary):
+    """μ and κ with their intervals, and the driver's parameters that follow."""
+    told = [f"{name} {_plus_minus(summary.traction.loc[name])}" for name in ("μ", "κ")]
+    drift = summary.traction.loc["drift"]
+    if drift["low"] > 0 or drift["high"] < 0:
+        told.append(f"drift {_plus_minus(drift)} rad/m")
+    if not np.isfinite(summary.traction.loc["κ", "value"]):
+        return "   ".join(told)
+    multiplier, width = (
+        summary.parameters.loc[name, "value"]
+        for name in ("wheel_separation_multiplier (1/κ)", "effective track width")
+    )
+    follows = f"→ wheel_separation_multiplier {multiplier:.3g}, or a track width of {width:.3g} m"
+    return f"{'   '.join(told)}   {follows}"
+
+
+def _test_lines(numbers):
+    """How well the yaw is known, and how many of the hidden positions were where they should."""
+    hidden = numbers["hidden"]
+    lines = [f"yaw known to {numbers['yaw_sigma_rad']:.2g} rad (σ, on the way)"]
+    if not hidden:
+        return [*lines, f"no position could be hidden for {HIDDEN_S:g} s: nothing was tested"]
+    lines[0] += (
+        f"; {numbers['hidden_error_m']:.2g} m off after {HIDDEN_S:g} s without positions (median)"
+    )
+    test = f"{numbers['hidden_covered']} of {hidden} hidden positions were within their 95 %"
+    if numbers["inflation"] > 1:
+        test += f"; all σ are made {numbers['inflation']:.2g} times as large as the estimator's"
+    return [*lines, test]
+
+
+# The judgement
 
 
 @checked
@@ -112,6 +221,7 @@ def log(
     *,
     track_width_m: Positive | None = None,
     position_delay_s: Real = 0.0,
+    calibrate: Flag = False,
     trust_log: Flag = False,
 ) -> Summary:
     """Say what a recorded log tells of its robot, and whether to trust it.
@@ -120,6 +230,8 @@ def log(
         file: Path of a file, as `rhec.logs.read` takes it; or a DataFrame, as `rhec.replay` takes.
         track_width_m: As in `rhec.replay` [m].
         position_delay_s: Delay of the time stamps of the positions [s].
+        calibrate: Whether to judge with the noise, the slip, the place of the antenna and the delay
+            that `rhec.calibrate` finds in the log. This takes longer.
         trust_log: Whether to go on with a log that `rhec.replay` would refuse.
 
     Returns:
@@ -130,33 +242,66 @@ def log(
     """
     recorded = read_if_path(file)
     diagnosis = doctor(recorded, track_width_m=track_width_m, position_delay_s=position_delay_s)
-    errors = [each for each in diagnosis.findings if each.severity == "error"]
+    errors = [each for each in diagnosis.findings if each.severity is Severity.ERROR]
     is_parsed = bool(diagnosis.facts)
     if errors and not (trust_log and is_parsed):
         verdict = f"No estimate: {errors[0].sentence} {errors[0].remedy}"
-        return Summary(_taken(recorded), _ASKED, diagnosis, verdict)
-    recording = delayed(prepare(recorded, track_width_m), position_delay_s)
-    about = InitialGuess(about_arm_m=recorded.attrs.get("lever_arm_m", (0.0, 0.0)))
-    scenario = replay_scenario("rhe", recording, {})
-    smoothed = estimate_samples(recording, scenario, about, smooth=True)
-    comparison = compare(recording, smoothed, about)
+        return Summary(_taken(recorded), diagnosis, verdict)
+    recording = prepare(recorded, track_width_m)
+    about_arm_m = recorded.attrs.get("lever_arm_m", (0.0, 0.0))
+    found = None
+    fields = {}
+    first = InitialGuess(about_arm_m=about_arm_m)
+    if calibrate:
+        found = calibrate_recorded(recording, about_arm_m, position_delay_s)
+        position_delay_s = found.get("position_delay_s", position_delay_s)
+        fields = {name: each for name, each in found.items() if name not in LOG_ARGUMENTS}
+        first = first._replace(lever_arm_m=found.get("lever_arm_m"))
+    recording = delayed(recording, position_delay_s)
+    scenario = replay_scenario("rhe", recording, fields)
+    smoothed = estimate_samples(recording, scenario, first, smooth=True)
+    judged = judge(
+        recording,
+        lambda shown: estimate_samples(shown, scenario, first),
+        smoothed,
+        sigma_v_of(scenario),
+    )
+    smoothed, way = (_inflated(each, judged.inflation) for each in (smoothed, judged.samples))
     slopes = terms.slopes(smoothed)
-    rows = [terms.row(*slope)[:3] for slope in slopes]
-    traction = pd.DataFrame(rows, index=["μ", "κ"], columns=["value", "low", "high"])
-    width_m = recording.track_width_m
-    parameters = terms.table(*slopes, width_m, terms.constants(smoothed))
-    noise = terms.noise(smoothed)
+    parameters = found.terms if found else terms.of_log(slopes, smoothed, recording.track_width_m)
+    traction = pd.DataFrame(
+        [terms.row(*slope)[:3] for slope in slopes],
+        index=["μ", "κ", "drift"],
+        columns=["value", "low", "high"],
+    )
+    doubts = tuple(_doubts(recording, diagnosis, traction, judged.numbers, smoothed, found))
+    yaml = terms.as_yaml(
+        parameters, recording.track_width_m, terms.noise(smoothed), diagnosis.facts["encoders_hz"]
+    )
     return Summary(
         taken=_taken(recorded, recording),
-        asked="" if track_width_m else _ASKED,
         diagnosis=diagnosis,
-        verdict=_verdict(recording, diagnosis, traction, comparison, smoothed),
+        verdict=_verdict(doubts, recording, found),
+        doubts=doubts,
+        numbers=judged.numbers | diagnosis.facts,
         traction=traction,
-        comparison=comparison,
+        way=way,
         samples=smoothed,
         estimates=at_rows(smoothed, recording, recorded, replay_of(scenario)),
-        yaml=terms.as_yaml(parameters, width_m, noise, diagnosis.facts["encoders_hz"]),
+        calibration=found,
+        parameters=parameters,
+        yaml=yaml,
+        judged=Judgement(recording, scenario, first, judged.inflation),
     )
+
+
+def _inflated(samples, factor):
+    """Samples with larger standard deviations; what the course adds to that of the yaw stays."""
+    sigmas = samples.columns.intersection([*SIGMA, *SIGMA_GYRO])
+    wider = samples.assign(**{name: factor * samples[name] for name in sigmas})
+    yaw = SIGMA[2]
+    variance = np.square(wider[yaw]) - (factor**2 - 1) * np.square(samples[SIGMA_BY_COURSE])
+    return wider.assign(**{yaw: np.sqrt(np.maximum(variance, 0))})
 
 
 def _taken(log, recording=None):
@@ -172,7 +317,11 @@ def _taken(log, recording=None):
         }
         for role, names in roles.items():
             # The true speeds of a simulated run are computed from several of its columns.
-            columns = [recording.columns[name] for name in names if name in recording.columns]
+            columns = [
+                recording.columns[name]
+                for name in names
+                if name in recording.columns and name in recording.rows
+            ]
             if columns:
                 found = [*dict.fromkeys(columns), *([rows[role]] if role in rows else [])]
                 rows[role] = ", ".join(found)
@@ -180,36 +329,54 @@ def _taken(log, recording=None):
     return rows
 
 
-def _verdict(recording, diagnosis, traction, comparison, smoothed):
-    """Whether to trust the estimates, and if not, why and what helps."""
-    doubts = [each.fact for each in diagnosis.findings if each.code == "moved_in_silence"]
-    if travelled(recording.rows, MEASUREMENTS[3]) < _LEAST_TURNED_RAD:
-        doubts.append("κ is not excited: drive two figures of eight")
+def _doubts(recording, diagnosis, traction, numbers, smoothed, found):
+    """Why not to trust the estimates and what helps, sentences, the strongest doubt first."""
+    is_excited = travelled(recording.rows, MEASUREMENTS[3]) >= _LEAST_TURNED_RAD
+    if not is_excited:
+        yield "κ is not excited: drive two figures of eight"
+    for name in ("μ", "κ") if is_excited else ("μ",):
+        value = traction.loc[name, "value"]
+        if np.isnan(value):
+            yield f"the log is too short to tell {name}: drive for a minute, also in curves"
+        elif not 0 < value < _MOST_TRACTION:
+            yield f"{name} is {value:.3g}, which is no traction: look at the columns and units"
+    for finding in diagnosis.findings:
+        if finding.severity is Severity.WARNING and not (
+            found and finding.code == "late_positions"
+        ):
+            yield f"{finding.fact}; {finding.remedy[0].lower()}{finding.remedy[1:-1]}"
+    if numbers["hidden"] < _LEAST_HIDDEN:
+        yield (
+            f"only {numbers['hidden']} positions could be hidden for {HIDDEN_S:g} s, so that the "
+            f"estimates are hardly tested: drive for at least {_LEAST_HIDDEN + 1} times as long "
+            "without a gap of the positions"
+        )
     if unknown := unknown_yaw(smoothed):
-        doubts.append(f"{unknown[0].lower()}{unknown[1:-1]}")
-    rhe = comparison.table.iloc[0]
-    if rhe["yaw in 95 %"] < _LEAST_COVERED:
-        doubts.append(
-            f"the yaw is unknown on the way: {rhe['yaw in 95 %']:.0%} of it lie within their 95 % "
-            "of the smoothed yaw; give a first_yaw_rad, or log a heading"
+        yield f"{unknown[0].lower()}{unknown[1:-1]}"
+    if numbers["inflation"] > _MOST_INFLATED:
+        helps = "no noise explains it: look for slip sideways, a late sensor or outliers"
+        if found is None:
+            helps = "run rhec log --calibrate"
+        yield (
+            f"σ is {numbers['inflation']:.2g} times too small, by {numbers['hidden']} hidden "
+            f"positions and the yaw that later ones tell: {helps}"
         )
-    hidden = int(rhe["n"])
-    covered = round(rhe["in 95 %"] * hidden) if hidden else 0
-    if hidden and bdtr(covered, hidden, _HONEST) < _BY_CHANCE:
-        doubts.append(
-            f"σ is too small: {rhe['in 95 %']:.0%} of {hidden} positions that were hidden for 10 s "
-            "lie within their 95 %, so the yaw is less certain than said: run rhec calibrate"
-        )
-    if traction.loc["κ", "value"] > 1:
-        doubts.append(
+    if traction.loc["κ", "low"] > 1:
+        yield (
             "κ is above 1: where the driver has already corrected the yaw rate, give its "
             "wheel_separation_multiplier (--wheel-separation-multiplier); else the tracks slip "
             "unlike each other"
         )
+
+
+def _verdict(doubts, recording, found):
+    """Whether to trust the estimates, and if not, the strongest doubt."""
     if doubts:
-        return f"Do not trust it yet: {'; '.join(doubts)}."
+        more = f" ({len(doubts) - 1} more doubts: --details)" if len(doubts) > 1 else ""
+        return f"Do not trust it yet: {doubts[0]}.{more}"
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
+    calibrate = "" if found else "--calibrate "
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
-        f"ice.{heading} Next: rhec calibrate FILE --yaml robot.yaml, rhec replay FILE --calibrated."
+        f"ice.{heading} Next: rhec log FILE {calibrate}--output FOLDER."
     )

@@ -37,16 +37,24 @@ class Slope(NamedTuple):
     sigma: float
 
 
-def _jackknife(x, y, block):
-    """The _Slope Σ xy / Σ x², whose standard deviation leaves out one block after the other."""
-    sums = pd.DataFrame(dict(xy=x * y, xx=x * x)).groupby(block).sum()
-    total = sums.sum()
-    n = len(sums)
-    if n < _LEAST_BLOCKS or total["xx"] <= 0:
-        return Slope(np.nan, np.nan)
-    without = (total["xy"] - sums["xy"]) / (total["xx"] - sums["xx"])
-    sigma = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Slope(float(total["xy"] / total["xx"]), float(sigma))
+def _jackknife(X, y, block):
+    """The Slopes b of the least-squares fit y = X b, whose σ leave out one block after the other.
+
+    They are NaN for few blocks, and where a column of X is 0.
+    """
+    n = X.shape[1]
+    blocks = [X[block == each] for each in np.unique(block)]
+    answers = [y[block == each] for each in np.unique(block)]
+    grams = np.array([x.T @ x for x in blocks])
+    rights = np.array([x.T @ each for x, each in zip(blocks, answers)])
+    gram = grams.sum(axis=0)
+    if len(blocks) < _LEAST_BLOCKS or not np.diag(gram).all():
+        return [Slope(np.nan, np.nan)] * n
+    right = rights.sum(axis=0)
+    without = np.array([np.linalg.pinv(gram - g) @ (right - r) for g, r in zip(grams, rights)])
+    scatter = np.square(without - without.mean(axis=0)).sum(axis=0)
+    sigma = np.sqrt((len(blocks) - 1) / len(blocks) * scatter)
+    return [Slope(*map(float, each)) for each in zip(np.linalg.pinv(gram) @ right, sigma)]
 
 
 class _Moves(NamedTuple):
@@ -78,19 +86,19 @@ def _moves(samples):
 
 
 def slopes(samples):
-    """(μ, κ) of a whole log as Slopes, from smoothed estimates.
+    """(μ, κ, drift) of a whole log as Slopes, from smoothed estimates.
 
-    μ compares the distances of the centre of turning along its heading with those of the encoders,
-    and κ the turns.
+    μ compares the distances of the centre of turning along its heading with those of the encoders.
+    The turns are κ times those of the encoders and the drift [rad/m] times the distance, by which
+    a robot turns whose tracks are unlike each other.
 
     Args:
         samples: DataFrame of smoothed samples of a replay.
     """
     moves = _moves(samples)
-    return (
-        _jackknife(moves.driven_m, moves.ahead_m, moves.block),
-        _jackknife(moves.turned_rad, moves.yaw_rad, moves.block),
-    )
+    (mu,) = _jackknife(moves.driven_m[:, None], moves.ahead_m, moves.block)
+    motion = np.column_stack([moves.turned_rad, moves.driven_m])
+    return (mu, *_jackknife(motion, moves.yaw_rad, moves.block))
 
 
 class Noise(NamedTuple):
@@ -114,12 +122,12 @@ def noise(samples):
         samples: DataFrame of smoothed samples of a replay.
     """
     moves = _moves(samples)
-    mu, kappa = slopes(samples)
+    mu, kappa, drift = slopes(samples)
     seconds = _STEP * paper.DT_S
     errors = (
         moves.ahead_m - mu.value * moves.driven_m,
         moves.left_m,
-        moves.yaw_rad - kappa.value * moves.turned_rad,
+        moves.yaw_rad - kappa.value * moves.turned_rad - drift.value * moves.driven_m,
     )
     velocities = np.array([moves.ahead_m, moves.left_m, moves.yaw_rad]) / seconds
     goes_on = np.diff(moves.block) <= 1
@@ -148,6 +156,20 @@ def table(mu, kappa, width_m, others):
         "wheel_separation_multiplier with it (μ/κ)": row(ratio, sigma),
     }
     return pd.DataFrame(rows | others, index=["value", "low", "high", "unit"]).T
+
+
+def of_log(slopes, samples, width_m, found=None):
+    """The parameters of a log as a DataFrame, as of `table`.
+
+    Args:
+        slopes: μ, κ and the drift, as of `slopes`.
+        samples: DataFrame of smoothed samples.
+        width_m: The stated track width [m].
+        found: {parameter: (value, low, high, unit)} of a calibration.
+    """
+    mu, kappa, drift = slopes
+    others = {"drift in turning": row(*drift, "rad/m")} | constants(samples) | (found or {})
+    return table(mu, kappa, width_m, others)
 
 
 def row(value, sigma, unit="-"):

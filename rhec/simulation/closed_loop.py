@@ -67,13 +67,18 @@ class Setup:
         return pieces | inner
 
 
-def set_up(scenario):
-    """The Setup of a scenario: path, soil, starting point and settings."""
+def world_of(scenario):
+    """The World of a scenario: path, soil and starting point."""
     path = path_of(scenario)
     soil = scenario.terrain or terrain.random_for(scenario, path)
-    guess = first_guess(scenario, path)
     pose = _start_pose(scenario, path)
-    parts = tuple(parts_of(scenario, World(path, soil, pose, _signed_speed(scenario), guess)))
+    return World(path, soil, pose, _signed_speed(scenario), first_guess(scenario, path))
+
+
+def set_up(scenario):
+    """The Setup of a scenario: its World, memory and settings."""
+    world = world_of(scenario)
+    parts = tuple(parts_of(scenario, world))
     loop = tuple(part.block for part in parts)
     settings = blocks.brought(parts, "settings")
     first = blocks.brought(parts, "first")
@@ -81,7 +86,8 @@ def set_up(scenario):
     memory, layout = _pack({name: first[name] for name in blocks.remembered(loop)})
     streams = blocks.brought(parts, "streams")
     draws = tuple(streams[name] for name in blocks.drawn(loop))
-    return Setup((loop, tuple(settings)), memory, layout, settings, draws, path, soil, guess)
+    structure = loop, tuple(settings)
+    return Setup(structure, memory, layout, settings, draws, world.path, world.soil, world.guess)
 
 
 def _signed_speed(scenario):

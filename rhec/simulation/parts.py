@@ -48,6 +48,7 @@ class World(NamedTuple):
     pose: Any  # (3,) at the start
     speed_mps: float  # the set one, negative backwards
     guess: Any  # (x, y, θ, ν, μ, κ), the estimator's first
+    soil_shape: tuple | None = None  # of the soil's grid in the loop; None: the next usual one
 
 
 def parts_of(scenario, world=None):
@@ -93,7 +94,7 @@ def _ground(scenario, world):
     """The soil below the robot, and where the robot is."""
     noise = block_of(split, "noise", tuple(robot.NOISE.items()), draws=("noise",))
     yield Part(noise, streams=dict(noise=robot.draw_noise))
-    shape = world and terrain.common_shape(world.soil)
+    shape = world and (world.soil_shape or terrain.common_shape(world.soil))
     soil = block_of(
         robot.soil, shape, scenario.soil_under, writes=dict(yaw_drift_radpm="yaw_drift")
     )

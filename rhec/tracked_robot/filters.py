@@ -42,6 +42,7 @@ def pose_and_speed(f, soil, discrete=False):
         outputs=_ROBOT.outputs,
         f=f,
         max_measurement=_ROBOT.limits,
+        sigma_held=_ROBOT.sigma_held,
         discrete=discrete,
     )
 

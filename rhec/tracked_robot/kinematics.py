@@ -19,6 +19,8 @@ YAW_DRIFT = "yaw_drift_radpm"  # one more parameter, not in the paper: see `f_wi
 _OUTPUTS = ("x_m", "y_m", "nu_mps", "omega_radps")
 _TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}  # eq. (14)
 _LIMITS = (1e8, 1e8, 100.0, 100.0)
+# An encoder that measures nothing for a sample tells nothing: 1 m/s and 1 rad/s are full speed.
+SIGMA_HELD = {"nu_mps": 1.0, "omega_radps": 1.0}
 
 
 def f(xi, u, p):
@@ -89,6 +91,7 @@ _PARAMETER = Model(
     f=f,
     h=h,
     max_measurement=_LIMITS,
+    sigma_held={"omega_radps": SIGMA_HELD["omega_radps"]},
 )
 _INPUT = Model(
     states=QUANTITIES[:3],
@@ -97,6 +100,7 @@ _INPUT = Model(
     outputs=_OUTPUTS,
     f=_with_measured_speed(f),
     max_measurement=_LIMITS,
+    sigma_held=SIGMA_HELD,
 )
 # ν is one parameter of the window, as in the paper, or a measured input of each interval
 # (interpretation G13).

@@ -86,6 +86,7 @@ def _with_sensors(speed_model, sensors):
         h=h,
         max_measurement=(*base.limits, *(_LIMITS[name] for name in OUTPUTS if name in sensors)),
         angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
+        sigma_held=base.sigma_held,
         motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
     )
     return SpeedModel(model, speed_model.noise)

@@ -90,6 +90,7 @@ _MODEL = Model(
     outputs=_WITH_SPEED.outputs,
     f=f,
     max_measurement=_WITH_SPEED.limits,
+    sigma_held=_WITH_SPEED.sigma_held,
     motion_noise=MotionNoise(
         constants=tuning.SLIP | dict(track_width_m=paper.TRACK_WIDTH_M, dt_s=paper.DT_S),
         inputs=_input_noise,

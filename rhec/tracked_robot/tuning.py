@@ -1,19 +1,18 @@
 """Every tuned noise in one place, with its source: standard deviations per sample.
 
-Each is named by the rule that picked it. All but the last were tuned in the default world, with the
-arrival mean "filtered", on training seeds that no result uses (`notebooks/studies/calibration.py`
-writes `tuned.csv`, which has the seeds and the objective of each as well):
+Each is named by the rule that picked it, W and V alike. All but the last were tuned in the default
+world, with the arrival mean "filtered", on training seeds that no result uses
+(`notebooks/studies/calibration.py` writes `tuned.csv`, with the seeds and the objective of each):
 
 - "printed" is the paper's, to the letter (interpretations G1, G2).
-- "consistent" has the least true error among those whose covariance matches the errors (NEES ≈ 1).
-- "prediction" predicts the measurements of the next sample best. It needs no truth, and it finds
-  the measurement noise V along with W.
+- "consistent" has a covariance that is as large as the errors (NEES ≈ 1).
+- "prediction" predicts the measurements of the next sample best. It needs no truth.
 - "tracking" has the least true error of a robot that drives with the paper's weights, R = 10.
 - "soft_soil" is as "prediction" on soil that slips as much as that under recorded robots, which
   they are used on (`calibration.SOFT_SOIL`).
 
-The rules that look at errors also set σ_ω of an RHE, through which noise of the yaw enters its
-window: it then includes all turning that no encoder measures. The filters do not use σ_ω.
+Through σ_ω noise of the yaw enters the window of an RHE: tuned, it includes all turning that no
+encoder measures. The filters do not use it.
 """
 
 import csv

@@ -207,7 +207,7 @@ def growth_of_a_step(x, u, p, dt_s):
 
 
 @pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [36, 25, 42])
 def test_an_estimate_at_which_the_rule_grows_is_not_ok_and_nothing_is_lost(seed):
     """A window that was kept there was up to 4e4 g/l off in 40 such drives, and `ok`."""
     dt_s = 0.5

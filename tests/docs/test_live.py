@@ -3,6 +3,7 @@
 import base64
 import gzip
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -29,14 +30,21 @@ def test_noise_of_a_seed_is_rounded_to_a_step():
 
 
 @pytest.mark.parametrize("kind", page.SOILS)
+@pytest.mark.parametrize("turns", page.TURNS.values())
 @pytest.mark.parametrize("seed, offset_m", [(0, -3.0), (4, 0.7), (9, 0.0)])
-def test_soil_of_every_start_is_a_part_of_the_data(kind, seed, offset_m):
+def test_soil_of_every_start_and_path_is_a_part_of_the_data(kind, turns, seed, offset_m):
+    world = page._world()
     soils = page.seed_data(seed)["soils"]
-    widest = closed_loop.set_up(rhec.Scenario(start_offset_m=3.0)).terrain.mu.shape
-    scenario = rhec.Scenario(seed=seed, start_offset_m=offset_m, **page.SOILS[kind])
+    scenario = rhec.Scenario(seed=seed, turns=turns, start_offset_m=offset_m, **page.SOILS[kind])
     terrain = closed_loop.set_up(scenario).terrain
-    fields = page.TRACTION_STEP * unpack(soils[kind], np.uint16).reshape(2, *widest)
+    apart = unpack(soils[kind], np.uint16).reshape(2, *world["soil_shape"])
+    steps = apart.cumsum(axis=1, dtype=np.uint16).cumsum(axis=2, dtype=np.uint16)
+    fields = page.TRACTION_STEP * steps
     rows, columns = terrain.mu.shape
+    # The script finds the field's corner from these.
+    field = world["fields"][turns]
+    corner = np.subtract(field["lowest"], field["margin_m"] + abs(offset_m))
+    np.testing.assert_allclose(corner, terrain.origin_m, atol=1e-12)
     expected = np.stack([terrain.mu, terrain.kappa])
     np.testing.assert_allclose(fields[:, :rows, :columns], expected, atol=page.TRACTION_STEP)
 
@@ -51,23 +59,51 @@ def test_the_first_memory_is_affine_in_the_start(name):
     np.testing.assert_allclose(memory, expected, atol=1e-12)
 
 
-@pytest.mark.nightly(keep=1)
+@pytest.mark.nightly(keep=4)
+@pytest.mark.parametrize("turns", page.TURNS.values())
 @pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
-def test_errors_are_those_of_the_run(own):
-    run = rhec.simulate(rhec.Scenario(duration_s=120.0, **own))
+def test_errors_are_those_of_the_run(turns, own):
+    run = rhec.simulate(rhec.Scenario(duration_s=240.0, turns=turns, **own))
     rows = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
-    errors = functions.build_functions(rhec.Scenario())["errors"]
-    found = dict(zip(functions.ERRORS, errors.map(len(rows))(rows.T).full()))
+    errors = page.functions_of(rhec.Scenario())["errors"]
+    field = page.fields_of_turns()[turns]
+    path = np.reshape(field["segments"], (-1, 5)).T, field["length_m"]
+    found = dict(zip(functions.ERRORS, errors.map(len(rows))(rows.T, *path).full()))
     for name in ("error_m", "error_true_m", "on_straight"):
         np.testing.assert_allclose(found[name], run.columns[name], atol=1e-12, err_msg=name)
     assert {*found["on_straight"]} == {0, 1}
     np.testing.assert_allclose(np.abs(found["left_m"]), found["error_true_m"], atol=1e-12)
+    assert np.sign(found["left_m"][0]) == np.sign(run.scenario.start_offset_m)
 
 
-def test_left_of_the_racetrack_is_its_inside():
-    x = paper.ROW_LENGTH_M / 2
-    assert float(functions.left_of_racetrack(x, 1.0)) == pytest.approx(1.0)
-    assert float(functions.left_of_racetrack(x, -1.0)) == pytest.approx(-1.0)
+@pytest.mark.parametrize("turns", page.TURNS.values())
+def test_the_closest_point_of_the_whole_path_is_that_of_the_path(turns):
+    """Anywhere on the field, and to the left of a row and of both kinds of turns."""
+    path = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M, turns)
+    segments = functions.with_segments(path, 20).segments.T
+    xy = np.random.default_rng(0).uniform(-20, 60, (400, 2))
+    distances, _ = path.project(xy)
+    found = [functions.closest(x, y, ca.DM(segments), path.length_m) for x, y in xy]
+    np.testing.assert_allclose([float(each[0]) for each in found], distances, atol=1e-12)
+    s = np.linspace(0, path.length_m, 60, endpoint=False) + 0.1
+    poses, curvatures = path.poses(s)
+    # Where an eight crosses itself, or another row is as near, there is no side.
+    for (x, y, theta), curvature in zip(poses, curvatures):
+        place = x - 0.2 * np.sin(theta), y + 0.2 * np.cos(theta)
+        distance, left, c = map(float, functions.closest(*place, ca.DM(segments), path.length_m))
+        if distance > 0.2 - 1e-9:
+            assert left == pytest.approx(0.2) and c == pytest.approx(curvature)
+
+
+@pytest.mark.parametrize("turns", page.TURNS.values())
+def test_segments_without_length_leave_a_path_as_it_is(turns):
+    path = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M, turns)
+    longer = functions.with_segments(path, 15)
+    s = np.linspace(-10, 3 * path.length_m, 500)
+    for one, other in zip(path.poses(s), longer.poses(s)):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+    xy = np.random.default_rng(1).uniform(-20, 60, (200, 2))
+    np.testing.assert_allclose(path.project(xy), longer.project(xy), atol=1e-9)
 
 
 def test_every_scene_opens_with_controls_that_exist():

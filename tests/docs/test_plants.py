@@ -15,4 +15,7 @@ def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves(
         distance, _ = path.project(place)
         free = paper.ROBOT_WIDTH_M / 2 + paper.TOLERANCE_M
         np.testing.assert_allclose(distance, free + away, atol=1e-9)
-    assert len(plants) == 4 * 200
+    # Beside four rows of 30 m, of which the first and the last go on by an eighth of the distance
+    # of two rows, one plant on either side every 0.15 m; none on the way back along the headland.
+    assert len(plants) == 2 * round((4 * 30.0 + 2 * 7.8 / 4) / 0.15)
+    assert plants[:, 0].min() > -7.8 / 4 - 0.15

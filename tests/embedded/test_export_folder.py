@@ -13,8 +13,8 @@ from rhec import embedded
 def texts(monkeypatch):
     """An export takes a moment: only its files matter here."""
     texts = {embedded._MARK: "mark", "rhec.c": "code", "README.txt": "text"}
-    monkeypatch.setattr(embedded, "_check", lambda scenario: None)
-    monkeypatch.setattr(embedded, "_of_scenario", lambda scenario: texts)
+    monkeypatch.setattr(embedded, "_check", lambda *_: None)
+    monkeypatch.setattr(embedded, "_of_scenario", lambda *_: texts)
     return texts
 
 

@@ -1,4 +1,4 @@
-"""Bags: fields of any message, places of sensors by /tf_static, recordings that were cut off."""
+"""Bags: fields of any message, one clock for all topics, recordings that were cut off."""
 
 import re
 import shutil
@@ -10,7 +10,6 @@ import pytest
 from written_bags import (
     DRIVE,
     START_NS,
-    TF,
     drive,
     fix,
     imu,
@@ -18,7 +17,6 @@ from written_bags import (
     odometry,
     pose_stamped,
     text,
-    transform,
     write_bag,
 )
 
@@ -84,7 +82,7 @@ def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
     log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[0]"})
     assert [*log] == ["t_s", "wheel"]
     assert log.attrs["inferred"]["positions"].startswith("none: no topic for positions")
-    with pytest.raises(ValueError, match="no column x_m.*it has t_s, wheel;.*positions: none: no"):
+    with pytest.raises(ValueError, match="no column x_m.*it has t_s, wheel .*positions: none: no"):
         rhec.replay(log)
 
 
@@ -118,86 +116,51 @@ def test_a_place_beyond_an_array_is_missing(tmp_path):
 
 def test_a_bag_without_topics_for_a_role_names_those_it_has(tmp_path):
     messages = [each for each in driven() if each[0] == "/drive"]
-    with pytest.raises(ValueError, match=r"among /drive \(fpn_msgs.*'/topic.field'") as refused:
+    with pytest.raises(ValueError, match=r"among /drive \(fpn_msgs.*x_m=/topic.field") as refused:
         rhec.logs.read(write_bag(tmp_path, "mcap", messages))
     assert "no topic for positions" in str(refused.value)
 
 
-# Places of sensors
-
-SIDEWAYS = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))  # a quarter turn to the left
-ON_ITS_SIDE = (np.sin(np.pi / 4), 0.0, 0.0, np.cos(np.pi / 4))  # a quarter turn about x: y is up
+# Axes and clocks
 
 
-def mounted(transforms, rate, force):
-    messages = [("/tf_static", TF, at(0), each) for each in transforms]
+def with_imu(late_s=0.0, unstamped=()):
+    """Messages of a receiver, an odometry and an IMU, whose clock may be another one."""
+    messages = []
     for row in range(N):
-        place = fix(46.78, 11.0 + 1e-6 * row, frame="gps")
+        own = 0 if row in unstamped else at(row) + round(late_s * 1e9)
         messages += [
-            ("/fix", "sensor_msgs/msg/NavSatFix", at(row), place),
+            ("/fix", "sensor_msgs/msg/NavSatFix", at(row), fix(46.78, 11.0 + 1e-6 * row)),
             ("/odom", ODOMETRY, at(row), odometry(0, 0, 0.5, 0.1)),
-            ("/imu", "sensor_msgs/msg/Imu", at(row), imu(rate, force)),
+            ("/imu", "sensor_msgs/msg/Imu", own, imu((0.3, 0, -0.1), (0, 0, -9.81))),
         ]
     return messages
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_lever_arm_is_that_of_the_static_transforms(tmp_path, kind):
-    """By a mast that is turned, in a tree whose root is not the base."""
-    transforms = [
-        transform("base_footprint", "base_link", (0.1, 0.2, 0.3)),
-        transform("base_footprint", "/mast", (0.6, 0.2, 0.0), SIDEWAYS),
-        transform("mast", "gps", (0.25, 0.0, 1.0)),
-    ]
-    file = write_bag(tmp_path, kind, mounted(transforms, (0, 0, 0.1), (0, 0, 9.81)))
-    log = rhec.logs.read(file, topics=("/fix", "/odom", "/imu"))
-    np.testing.assert_allclose(log.attrs["lever_arm_m"], (0.5, 0.25), atol=1e-12)
-    told = "0.500 m ahead, 0.250 m left of base_link, by /tf_static"
-    assert log.attrs["inferred"]["lever arm"] == told
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_place_of_the_robot_is_that_of_the_frames_a_user_names(tmp_path, kind):
-    """Map → odom → base_link, of which odometry's part alone is no measurement."""
-    messages = []
-    for row in range(N):
-        messages.append(("/odom", ODOMETRY, at(row), odometry(0, 0, 0.5, 0.1)))
-        own = transform("odom", "base_link", (0.1 * row, 0.0, 0.0))
-        messages.append(("/tf", TF, at(row), own))
-        if row % 4 == 0:
-            found = transform("map", "odom", (1.0, 0.5 * row, 0.0), SIDEWAYS)
-            messages.append(("/tf", TF, at(row), found))
-    file = write_bag(tmp_path, kind, messages)
-    log = rhec.logs.read(file, frames=("map", "base_link"))
-    places = log[["x_m", "y_m"]].dropna()
-    rows = np.arange(0, N, 4)
-    np.testing.assert_allclose(places["x_m"], 1.0)
-    np.testing.assert_allclose(places["y_m"], 0.5 * rows + 0.1 * rows)
-    assert log["speed_mps"].notna().sum() == N
-    assert log.attrs["inferred"]["positions"].startswith("/tf, tf2_msgs/msg/TFMessage, 10 messages")
-    with pytest.raises(
-        ValueError, match=r"frames was \('map', 'base'\); the bag has odom → base_l"
-    ):
-        rhec.logs.read(file, frames=("map", "base"))
+def test_a_gyro_is_about_its_z_axis_or_as_a_field_says(tmp_path):
+    """Here the IMU is mounted upside down, and a minus turns the sign."""
+    file = write_bag(tmp_path, "mcap", with_imu())
+    np.testing.assert_allclose(rhec.logs.read(file)["gyro_radps"], -0.1)
+    for path, rate in (("-/imu.angular_velocity.z", 0.1), ("/imu.angular_velocity.x", 0.3)):
+        log = rhec.logs.read(file, columns={"gyro_radps": path})
+        np.testing.assert_allclose(log["gyro_radps"], rate)
 
 
 @pytest.mark.parametrize(
-    "turn, rate, force, yaw_rate, told",
+    "messages, time",
     [
-        (ON_ITS_SIDE, (0, 0.3, 0), (0, 0, 0), 0.3, "z axis of base_link by /tf_static"),
-        (ON_ITS_SIDE, (0, 0.3, 0), (0, 9.81, 0), 0.3, "z axis of base_link by /tf_static"),
-        (ON_ITS_SIDE, (0, 0.3, 0), (0, -9.81, 0), 0.3, "z axis of base_link by /tf_static"),
-        ((0, 0, 0, 1), (0, 0.3, 0), (0, 9.81, 0), 0.3, "by gravity, .*which contradicts /tf_st"),
-        (None, (0, 0.3, 0.1), (0, 9.81, 0), 0.3, r"by gravity, \(0.00, 1.00, 0.00\) in its axes$"),
-        (None, (0, 0.1, -0.3), (0, 0, -9.81), 0.3, "by gravity"),  # upside down
-        (None, (0, 0.3, 0.1), (0, 0, 0), 0.1, "about its z axis"),
+        (with_imu(), "by the headers"),
+        (with_imu(-0.3), "by the headers"),  # slow, but by the same clock
+        (with_imu(-2e8), "by the recorder, because the headers of .* have clocks 2e.08 s apart"),
+        (with_imu(18.0), "by the recorder, because .* have clocks 18 s apart"),
+        (with_imu(unstamped=range(0, N, 7)), "because 6 of 40 headers of /imu have no stamp"),
     ],
 )
-def test_the_axis_of_an_imu_is_known(tmp_path, turn, rate, force, yaw_rate, told):
-    transforms = [transform("base_link", "imu", (0, 0, 0), turn)] if turn else []
-    log = rhec.logs.read(write_bag(tmp_path, "mcap", mounted(transforms, rate, force)))
-    np.testing.assert_allclose(log["gyro_radps"], yaw_rate, atol=1e-9)
-    assert re.search(told, log.attrs["inferred"]["gyro"])
+def test_a_bag_has_one_clock(tmp_path, messages, time):
+    """That of the headers if there is one, else that of the recorder for all topics."""
+    log = rhec.logs.read(write_bag(tmp_path, "mcap", messages, period_ns=10**8 // 3))
+    assert re.search(time, log.attrs["inferred"]["time"])
+    assert log["t_s"].max() == pytest.approx(0.1 * (N - 1), abs=0.5)
 
 
 # Recordings that were cut off

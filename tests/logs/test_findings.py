@@ -15,7 +15,7 @@ import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import TRACK_WIDTH_M, recorded_log
+from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
 
 import rhec
 from rhec import paper
@@ -50,6 +50,20 @@ def dead(left, right):
     return change(
         FAULTY, speed_mps=(v_left + v_right) / 2, yaw_rate_radps=(v_right - v_left) / TRACK_WIDTH_M
     )
+
+
+def by_sides(left, right):
+    """The log with the signs of its encoders turned."""
+    v_left = LOG["v_left_mps"] * left
+    v_right = LOG["v_right_mps"] * right
+    return LOG.assign(
+        speed_mps=(v_left + v_right) / 2, yaw_rate_radps=(v_right - v_left) / TRACK_WIDTH_M
+    )
+
+
+def rolled_over():
+    """Single speeds of a counter of 8 bits that rolled over."""
+    return change(LOG.index % 125 == 60, speed_mps=SPEED - 2.56)
 
 
 def noisy(sigma_m, log=LOG):
@@ -107,6 +121,19 @@ def moves_only(speed_mps):
     )
 
 
+def reverses():
+    """A robot that drives to and fro, in curves, and stands for a second in between."""
+    t = np.arange(0, 200, 0.1)
+    speed = np.select([t % 20 < 9, (t % 20 >= 10) & (t % 20 < 19)], [0.6, -0.5], 0.0)
+    turn = 0.4 * np.sin(t / 7)
+    yaw = np.cumsum(0.1 * KAPPA * turn)
+    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
+    place += 0.01 * RANDOM.standard_normal((2, len(t))).T @ [1, 1j]
+    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
+    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+
+
+REVERSES = reverses()
 HEADER = pd.DataFrame([dict(zip(LOG, LOG))])
 PASTED = pd.concat([LOG, HEADER, LOG.assign(x_m=X + 20)], ignore_index=True)
 WORDS = np.where(LOG.index % 3, "FIX", "SINGLE")
@@ -124,7 +151,10 @@ WRONG = {
     "degrees as metres": (LOG.assign(x_m=11.5 + X / 76e3, y_m=48 + Y / 111e3), "longitude and lat"),
     "yaw rate in degrees": (LOG.assign(yaw_rate_radps=np.rad2deg(TURN)), "in degrees per second"),
     "yaw rate clockwise": (LOG.assign(yaw_rate_radps=-TURN), "counted clockwise .* turns -0.754"),
-    "x and y swapped": (LOG.assign(x_m=Y, y_m=X), "clockwise .*, or x_m, y_m may be swapped"),
+    "x and y swapped": (
+        LOG.assign(x_m=Y, y_m=X),
+        "clockwise .*, or x_m, y_m or left and right may be swapped",
+    ),
     "gyro clockwise": (gyro(scale=-1.0), "gyro_radps may be counted clockwise"),
     "gyro in degrees": (
         gyro(scale=180 / np.pi),
@@ -168,10 +198,51 @@ WRONG = {
     "words in encoders_ok": (LOG.assign(encoders_ok=WORDS), "encoders_ok had the words 'SINGLE'"),
     "no position that counts": (LOG.assign(pos_ok=0), "pos_ok is true in none of 1500 rows"),
     "few positions that count": (LOG.assign(pos_ok=LOG.index % 4 == 0), "leaves 375 of 1500 pos"),
-    "positions by GPS time": (in_rows_of_their_own(18.0), "18 s ahead of .*, as GPS .*_s=18 corr"),
-    "positions 37 s behind": (in_rows_of_their_own(-37.0), "37 s behind that of .*_s=-37 corrects"),
-    "positions 0.4 s late": (late(0.4), "y_m come 0.39 ± 0.12 s later than .*_s=0.39 corrects"),
-    "positions 0.3 s early": (late(-0.3), "y_m come 0.31 ± 0.11 s earlier .*_s=-0.31 corrects"),
+    "positions by GPS time": (
+        in_rows_of_their_own(18.0),
+        "18 s ahead of .*, as GPS .*delay-s 18 corr",
+    ),
+    "positions 37 s behind": (
+        in_rows_of_their_own(-37.0),
+        "37 s behind that of .*delay-s -37 corr",
+    ),
+    "positions 0.4 s late": (late(0.4), "y_m come 0.39 ± 0.12 s later than"),
+    "positions 0.3 s early": (late(-0.3), "seem to come 0.31 ± 0.11 s later than x_m"),
+    "speed without a sign": (
+        REVERSES.assign(speed_mps=REVERSES["speed_mps"].abs()),
+        "speed_mps has no sign: the robot",
+    ),
+    "yaw rate without a sign": (
+        LOG.assign(yaw_rate_radps=TURN.abs()),
+        "rate_radps has no sign: the",
+    ),
+    "left encoder counts backwards": (by_sides(-1, 1), "^the left encoder may count backwards"),
+    "right encoder counts backwards": (by_sides(1, -1), "^the right encoder may count backwards"),
+    "speed and yaw rate exchanged": (
+        LOG.assign(speed_mps=TURN, yaw_rate_radps=SPEED),
+        "^the left encoder may count backwards",
+    ),
+    "speed of the map": (
+        LOG.assign(speed_mps=SPEED * np.cos(LOG["yaw_true_rad"])),
+        "is the speed along a fixed direction of the map, -?0.0",
+    ),
+    "yaw rate never filled": (LOG.assign(yaw_rate_radps=0.0), "is 0 in all rows, but the path"),
+    "positions and wheels by two clocks": (
+        in_rows_of_their_own(5e6),
+        "have no time in common: they are by two clocks",
+    ),
+    "counter rolls over": (
+        rolled_over(),
+        "12 values of speed_mps are left out, because none is as",
+    ),
+    "another zone of UTM": (
+        LOG.assign(x_m=X - 666e3 * (T > 75)),
+        "x_m, y_m jump by 666 km, as in another zone of UTM",
+    ),
+    "one position far away": (
+        change(LOG.index == 700, x_m=X + 5e4),
+        "^1 values of x_m are left out, because none",
+    ),
     "two files pasted together": (PASTED, BACK.format("149.9 s"), "names stands once more"),
     "an hour back": (LOG.assign(t_s=T + 4000 - 3600 * (T > 75)), BACK.format("3600 s, an hour.*")),
     "positions at 0.5 Hz": (LOG.assign(**positions_of_every(20)), "positions come at 0.5 Hz"),
@@ -270,6 +341,7 @@ def test_the_page_says_what_is_said():
 HEALTHY = {
     "simulated": LOG,
     "slower": recorded_log(5.0, 120.0, noise_m=0.03),
+    "to and fro": REVERSES,
     "the example": EXAMPLE,
     "without noise": recorded_log(10.0, 100.0),
     "without slip": noisy(0.02, integrated()),
@@ -349,10 +421,9 @@ def test_the_track_width_has_a_source(columns, given_m, width_m, source):
 def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
     for name, log, code in (("good", LOG, 0), ("bad", dead(0, 1), 1)):
         log.to_csv(tmp_path / f"{name}.csv", index=False)
-        assert main(["doctor", str(tmp_path / f"{name}.csv"), "--json"]) == code
+        assert main(["log", str(tmp_path / f"{name}.csv"), "--check", "--json"]) == code
         assert json.loads(capsys.readouterr().out)["ok"] == (code == 0)
     LOG.rename(columns=dict(x_m="east")).to_csv(tmp_path / "east.csv", index=False)
-    assert main(["doctor", str(tmp_path / "east.csv"), "--columns", "x_m=east"]) == 0
-    assert "found separator: comma" in capsys.readouterr().err
-    assert main(["doctor", str(tmp_path / "none.csv")]) == 2
+    assert main(["log", str(tmp_path / "east.csv"), "--check", "--columns", "x_m=east"]) == 0
+    assert main(["log", str(tmp_path / "none.csv"), "--check"]) == 2
     assert "none.csv" in capsys.readouterr().err

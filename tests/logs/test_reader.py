@@ -180,7 +180,11 @@ def test_latitude_and_longitude_become_metres(tmp_path, latitude):
         ("log.bag", b"#ROSBAG V2.0\n junk", "cannot be read"),
         ("log.mcap", b"\x89MCAP0\r\n junk", "cannot be read"),
         ("log.db3", b"SQLite format 3\x00 junk", "cannot be read"),
-        ("log.txt", b"t_s", "it should be an existing .csv, .parquet, .bag, .db3, .mcap file"),
+        (
+            "log.doc",
+            b"t_s",
+            "it should be an existing .csv, .txt, .dat, .tsv, .parquet, .bag, .db3, .mcap file",
+        ),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_a_sentence(tmp_path, name, content, sentence):
@@ -417,10 +421,56 @@ def test_topics_that_cannot_be_told_are_named(many, topics, sentence):
         rhec.logs.read(many[-1], topics=topics)
 
 
-def test_a_table_has_no_topics_and_no_frames(tmp_path):
-    for name, given in (("topics", ("/odom",)), ("frames", ("map", "base_link"))):
-        with pytest.raises(ValueError, match=f"^{name} was .*; only a bag has {name}"):
-            rhec.logs.read(written(tmp_path, LOG), **{name: given})
+def test_a_table_has_no_topics(tmp_path):
+    with pytest.raises(ValueError, match="^topics was .*; only a bag has topics"):
+        rhec.logs.read(written(tmp_path, LOG), topics=("/odom",))
+
+
+@pytest.mark.parametrize(
+    "text, columns",
+    [
+        ("# robot 7, 3 May\n# t_s,x_m,y_m\n0.0,1.5,2\n# a remark\n0.1,2.5,3\n", None),
+        ("#t_s x_m y_m\n0.0 1.5 2\n0.1 2.5 3\n", None),
+        ("# made by hand\nt_s;x_m;y_m\n0,0;1,5;2\n0,1;2,5;3\n", None),
+        ("# made by hand\n0.0\t1.5\t2\n0.1\t2.5\t3\n", {"t_s": "0", "x_m": "1", "y_m": "2"}),
+        (
+            "__time,/gps/pose/position/x,y_m\n0.0,-1.5,2\n0.1,-2.5,3\n",
+            {"x_m": "-/gps/pose/position/x"},
+        ),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["csv", "dat", "txt"])
+def test_remarks_and_other_names_are_read(tmp_path, text, columns, suffix):
+    (tmp_path / f"log.{suffix}").write_text(text)
+    log = rhec.logs.read(tmp_path / f"log.{suffix}", columns=columns)
+    np.testing.assert_allclose(log[["t_s", "x_m", "y_m"]], [[0.0, 1.5, 2], [0.1, 2.5, 3]])
+
+
+@pytest.mark.parametrize("row", ["0.0;1,234.5;-12,345,678.25", "0,0;1.234,5;-12.345.678,25"])
+def test_marks_of_thousands_are_read(tmp_path, row):
+    (tmp_path / "log.csv").write_text(f"t_s;x_m;y_m\n{row}\n{row}\n")
+    log = rhec.logs.read(tmp_path / "log.csv")
+    np.testing.assert_allclose(log[["x_m", "y_m"]], [[1234.5, -12345678.25]] * 2)
+
+
+def test_several_files_of_one_drive_are_put_together_by_their_clock(tmp_path):
+    """One in ISO 8601, one in ms since 1970, which begins 0.1 s later; none is asked for a name
+    that only the other has.
+    """
+    (tmp_path / "gps.csv").write_text(
+        "time,east,y_m\n2024-05-03T10:00:00Z,1,2\n2024-05-03T10:00:01Z,3,4\n"
+    )
+    (tmp_path / "wheels.csv").write_text(
+        "timestamp_ms,v,y_m\n1714730400100,5,0\n1714730400200,6,0\n"
+    )
+    files = [tmp_path / "gps.csv", tmp_path / "wheels.csv"]
+    log = rhec.logs.read(files, columns=dict(x_m="east", speed_mps="v"))
+    np.testing.assert_allclose(log["t_s"], [0.0, 0.1, 0.2, 1.0], atol=1e-6)
+    np.testing.assert_array_equal(log["x_m"], [1, np.nan, np.nan, 3])
+    np.testing.assert_array_equal(log["y_m"], [2, np.nan, np.nan, 4])
+    np.testing.assert_array_equal(log["speed_mps"], [np.nan, 5, 6, np.nan])
+    with pytest.raises(ValueError, match="columns.'x_m'. was 'easting'; no file has it"):
+        rhec.logs.read(files, columns=dict(x_m="easting"))
 
 
 def test_the_attributes_of_a_file_are_not_those_of_its_log(tmp_path):

@@ -432,7 +432,11 @@ def test_rows_out_of_time_change_nothing(estimates):
 def test_estimates_are_finite_whatever_the_log_lacks(broken):
     log = broken(LOG)
     result = rhec.replay(log, first_yaw_rad=None)
-    assert len(result) == len(log) and np.isfinite(result[ESTIMATE]).all(axis=None)
+    assert len(result) == len(log)
+    # A first position a thousand kilometres away is none, and there is no estimate before one.
+    begin = 2 if abs(log["x_m"].iloc[0]) > 1e6 else 0
+    assert np.isfinite(result[ESTIMATE].iloc[begin:]).all(axis=None)
+    result = result.iloc[begin:]
     assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
 
 
@@ -466,9 +470,9 @@ FOREIGN = LOG.rename(
     "log, sentence",
     [
         (FOREIGN, r"it has t_s, Easting \[m\], northing, vel, gyro, v_left_mps"),
-        (FOREIGN, r"columns= of rhec.logs.read renames them: did you mean x_m=Easting \[m\], "),
-        (FOREIGN, r", y_m=northing, speed_mps=vel, yaw_rate_radps=gyro\?$"),
-        (LOG.drop(columns="x_m"), "renames them$"),
+        (FOREIGN, r"did you mean --columns 'x_m=Easting \[m\]' y_m=northing\?$"),
+        (FOREIGN.drop(columns=["v_left_mps"]), r"y_m=northing speed_mps=vel\?$"),
+        (LOG.drop(columns="x_m"), "; --columns x_m=NAME renames one$"),
     ],
 )
 def test_a_log_with_other_names_is_told_how_to_rename_them(log, sentence):

@@ -35,7 +35,6 @@ def in_rows_of_their_own(log, offset_s):
 
 BACK = "; what follows counts as another drive."
 MISSING = "The log had no column {}; it should have t_s, x_m, y_m, speed_mps, yaw_rate_radps"
-RENAMES = "columns= of rhec.logs.read renames them"
 # name: (the file's text, [all that is said])
 TABLES = {
     "as UTF-16": (csv(TABLE).encode("utf-16"), []),
@@ -47,8 +46,8 @@ TABLES = {
                                       "with rows."]),
     "without a header": (
         csv(TABLE, header=False),
-        [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4; "
-         f"{RENAMES} (header: none, the names of the columns are 0, 1, 2 …)."],
+        [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4 "
+         "(header: none, the names of the columns are 0, 1, 2 …); --columns t_s=NAME renames one."],
     ),
     "two files pasted together": (
         csv(TABLE) + csv(AGAIN),
@@ -62,7 +61,7 @@ TABLES = {
         csv(LOG[["t_s", "x_m", "y_m", *TRACKS]].set_axis(
             ["t_s", "x_m", "y_m", "left_wheel_speed", "right_wheel_speed"], axis=1)),
         [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, left_wheel_speed, "
-         f"right_wheel_speed; {RENAMES}: did you mean v_left_mps=left_wheel_speed, "
+         "right_wheel_speed: did you mean --columns v_left_mps=left_wheel_speed "
          "v_right_mps=right_wheel_speed?"],
     ),
 }  # fmt: skip
@@ -118,8 +117,7 @@ BAGS = {
     "positions by GPS time": (
         partial(drive, fix_ahead_s=18.0),
         ROBOT,
-        ["The log's x_m, y_m are by a clock about 18 s ahead of that of v_left_mps, v_right_mps, "
-         "as GPS time is ahead of UTC; position_delay_s=18 corrects this."],
+        [],  # the recorder's clock is one
     ),
     "no radius": (
         drive,
@@ -132,7 +130,7 @@ BAGS = {
         dict(wheel_radius_m=RADIUS_M),
         [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give a track_width_m "
          "(--track-width-m) for v_left_mps, v_right_mps; it has t_s, latitude, longitude, "
-         f"altitude, v_left_mps, v_right_mps, x_m, y_m; {RENAMES}."],
+         "altitude, v_left_mps, v_right_mps, x_m, y_m."],
     ),
     "odometry alone": (
         partial(of_odometry, "odom"),
@@ -144,8 +142,8 @@ BAGS = {
         partial(of_odometry, "cmd"),
         {},
         "no topic for positions (NavSatFix, PoseStamped, PoseWithCovarianceStamped, Odometry) "
-        "among /cmd_vel (geometry_msgs/msg/Twist); columns={'x_m': '/topic.field', …} reads fields "
-        "of any type",
+        "among /cmd_vel (geometry_msgs/msg/Twist); --columns x_m=/topic.field reads fields of any "
+        "type",
     ),
 }  # fmt: skip
 
@@ -164,8 +162,11 @@ def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
     log = rhec.logs.read(file, **options)
     found = rhec.doctor(log, track_width_m=width_m).findings
     assert [finding.sentence for finding in found] == said
-    clock = "the recorder, because headers" if "stamps" in name else "the headers"
-    assert f"times by {clock}" in log.attrs["inferred"]["encoders"]
+    clock = {
+        "headers without stamps": "by the recorder, because 750 of 750 headers of /fix have no",
+        "positions by GPS time": "by the recorder, because the headers of /fix and /joints have",
+    }
+    assert log.attrs["inferred"]["time"].startswith(clock.get(name, "by the headers"))
 
 
 def test_a_bag_that_was_cut_off_names_the_command_that_mends_it(tmp_path):

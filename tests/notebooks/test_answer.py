@@ -100,7 +100,7 @@ def test_an_order_that_turns_with_the_path_is_said_with_the_cases_in_which_it_do
     errors = AS_IN_THE_PAPER | dict(printed=(0.0423, 1.3))
     said = answer.in_short(scenario_b(errors, instead={("left", "prediction"): (0.0462, 0.0431)}))
     assert said.startswith("In part: the RHE is better than the EKF in 11 of 12 cases")
-    assert "not by prediction with turns to the left alone;" in said
+    assert "but not where the path turns to the left alone with W by prediction;" in said
     assert "with W as printed the EKF is lost" in said
     many = {(turns, "tracking"): (0.05, 0.04) for turns in TURNS}
     said = answer.in_short(scenario_b(errors, instead=many))

@@ -111,7 +111,7 @@ def test_rules_see_training_seeds_alone_and_no_estimator_in_the_loop_but_for_tra
 
 
 def test_the_search_finds_the_deeper_of_two_minima(monkeypatch):
-    """A line search from 0.01 ends in the shallower one."""
+    """That is near a bound; the shallower one has more room."""
 
     def two(fields):
         def value(sigma_w, sigma_v):

@@ -9,7 +9,7 @@ from scipy import stats
 from notebooks.further import consistency
 from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
-from rhec import Scenario
+from rhec import Scenario, paper
 from rhec.simulation import offline
 from rhec.tracked_robot import tuning
 
@@ -80,7 +80,8 @@ def runs():
 
 
 def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(runs):
-    told = consistency.measure(Scenario(estimator=RIVALS["traction_oracle"]), runs)
+    told = Scenario(estimator=RIVALS["traction_oracle"], sigma_v=paper.SIGMA_V)
+    told = consistency.measure(told, runs)
     printed = consistency.measure(Scenario(estimator="ekf", process_noise="printed"), runs)
     later = told.t_s >= offline.SETTLED_S
     assert 0.6 < told.nees[:, later].mean() / 4 < 1.6
@@ -118,7 +119,7 @@ def test_departure_is_that_of_the_measured_consistency(runs):
     assert consistency.departure(scenario, runs) == pytest.approx(expected, abs=0.15)
     for factor in (0.25, 4.0):  # of all variances, which leaves the estimates as they are
         sigma_v = tuple(np.sqrt(factor) * np.array(tuning.sigma_v_of(scenario)))
-        sigma_w = tuning.noise_of("traction_oracle", scenario).sigma_w
+        sigma_w = RIVALS["traction_oracle"].noises["prediction"].sigma_w
         scaled = Scenario(
             estimator=RIVALS["traction_oracle"],
             sigma_v=sigma_v,

@@ -6,8 +6,7 @@ import pytest
 from helpers import recorded_log
 
 from notebooks.further import transfer
-from notebooks.further.recorded import scores
-from rhec.logs import rivals
+from notebooks.further.recorded import rivals, scores
 from rhec.logs.replay import predictor
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 

@@ -42,20 +42,40 @@ def test_a_run_is_that_of_python(capsys, tmp_path, q):
     pd.testing.assert_frame_equal(pd.read_csv(file), run.log, check_exact=False, rtol=1e-14)
 
 
-@may_be_unsure
-def test_a_replay_is_that_of_python(capsys, log_file, tmp_path):
+def test_the_estimates_of_a_log_are_those_of_python(capsys, log_file, tmp_path):
     folder = tmp_path / "estimates"
-    words = ["replay", str(log_file), "--folder", str(folder), "--estimator", "ekf", "--smooth"]
-    assert main([*words[:-1], "--first-yaw-rad", "0"]) == 0
-    expected = rhec.replay(rhec.logs.read(log_file), "ekf", first_yaw_rad=0.0)
+    words = ["log", str(log_file), "--output", str(folder)]
+    assert main(words) == 0
+    expected = rhec.log(rhec.logs.read(log_file))
     written = pd.read_csv(folder / "estimates.csv")
-    assert np.allclose(written["theta_hat_rad"], expected["theta_hat_rad"], equal_nan=True)
-    assert "estimates in" in capsys.readouterr().out
-    # A second replay overwrites nothing, and one that is refused writes nothing.
+    yaw = "theta_hat_rad"
+    np.testing.assert_allclose(written[yaw], expected.estimates[yaw], rtol=1e-9)
+    assert (folder / "summary.txt").read_text("utf-8").startswith(str(expected))
+    assert (folder / "C" / "search.c").is_file()
+    assert expected.verdict in capsys.readouterr().out
+    # A second one overwrites nothing, unless it is told to.
     assert main(words) == 2
     assert "exists" in capsys.readouterr().err
-    assert main([*words, "--overwrite"]) == 2
-    assert "smooth was True" in capsys.readouterr().err
+
+
+def test_commands_of_before_say_what_they_are_now(capsys):
+    for word, now in (("doctor", "--check"), ("calibrate", "--calibrate"), ("replay", "--output")):
+        assert main([word, "drive.csv"]) == 2
+        assert f"it is now rhec log FILE {now}" in capsys.readouterr().err
+
+
+def test_two_files_of_one_drive_are_one_log(capsys, tmp_path):
+    log = recorded_log(5.0, 60.0, noise_m=0.02, seed=3)
+    log[["t_s", "x_m", "y_m"]].to_csv(tmp_path / "places.csv", index=False)
+    wheels = log[["t_s", "speed_mps", "yaw_rate_radps"]].rename(columns=dict(speed_mps="v"))
+    wheels.to_csv(tmp_path / "wheels.csv", index=False)
+    log.to_csv(tmp_path / "both.csv", index=False)
+    words = ["log", "--check", "--json", "--columns", "speed_mps=v"]
+    files = [str(tmp_path / name) for name in ("places.csv", "wheels.csv")]
+    assert main([words[0], *files, *words[1:]]) == 0
+    facts = json.loads(capsys.readouterr().out)["facts"]
+    assert main(["log", str(tmp_path / "both.csv"), "--check", "--json"]) == 0
+    assert facts == pytest.approx(json.loads(capsys.readouterr().out)["facts"])
 
 
 def test_names_of_columns(capsys, log_file):
@@ -63,7 +83,7 @@ def test_names_of_columns(capsys, log_file):
     log = log[["t_s", "easting", "northing", "nu_meas_mps", "omega_meas_radps"]]
     log.to_csv(log_file, index=False)
     pairs = ["x_m=easting", "y_m=northing", "speed_mps=nu_meas_mps"]
-    words = ["doctor", str(log_file), "--json", "--columns", *pairs]
+    words = ["log", str(log_file), "--check", "--json", "--columns", *pairs]
     main([*words, "yaw_rate_radps=omega_meas_radps"])
     diagnosis = json.loads(capsys.readouterr().out)
     assert diagnosis["facts"]["driven_m"] == pytest.approx(30, rel=0.1)
@@ -75,11 +95,10 @@ def test_names_of_columns(capsys, log_file):
 def test_a_calibration_is_that_of_python(capsys, tmp_path):
     log = tmp_path / "drive.csv"
     recorded_log(duration_s=30.0, noise_m=0.02).to_csv(log, index=False)
-    file = tmp_path / "robot.yaml"
-    assert main(["calibrate", str(log), "--json", "--yaml", str(file)]) == 0
+    assert main(["log", str(log), "--calibrate", "--json"]) == 0
     found = rhec.calibrate(rhec.logs.read(log))
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(dict(found)))
-    assert file.read_text() == found.yaml
+    told = json.loads(capsys.readouterr().out)["calibration"]
+    assert told == json.loads(json.dumps(dict(found)))
 
 
 @pytest.mark.nightly
@@ -98,14 +117,13 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
         (["simulate", "--log", "log.txt"], "--log was 'log.txt'"),
         (["simulate", "--log", "no/such.csv"], "--log was 'no/such.csv'; there is no folder 'no'"),
         (["simulate", "--plot", "x.nothing"], "--plot was 'x.nothing'; it should end in .png or"),
-        (["calibrate", "missing.csv", "--yaml", "no/y.yaml"], "--yaml was 'no/y.yaml'"),
-        (["replay", "missing.csv", "--folder", os.devnull], "--folder was"),
+        (["log", "missing.csv", "--output", os.devnull], "--output was"),
         (["campaign", "--seeds", "0"], "--seeds was 0"),
         (["campaign", "-p", "seed"], "-p seed had no value"),
-        (["replay", "missing.csv"], "log was 'missing.csv'"),
-        (["calibrate", "missing.csv"], "log was 'missing.csv'"),
-        (["doctor", "missing.bag"], "log was 'missing.bag'"),
-        (["doctor", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
+        (["log", "missing.csv"], "log was 'missing.csv'"),
+        (["log", "missing.bag"], "log was 'missing.bag'"),
+        (["log", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
+        (["log"], "rhec log had no file"),
         (["export", "folder", "--estimator", "oracle"], "estimator was 'oracle'"),
         (["simulate", "--sed", "1"], "Did you mean --seed? See: rhec simulate --help"),
         (["simulate", "--seed"], "--seed requires an argument"),
@@ -149,7 +167,7 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(
 ):
     """As if the disk were full in the middle of it."""
     run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
-    replay = ["replay", str(log_file), "--estimator", "ekf", "--folder", "estimates"]
+    replay = ["log", str(log_file), "--output", "estimates"]
     campaign = "campaign -p duration_s 8 --seeds 1 --workers 1 --folder runs".split()
     monkeypatch.chdir(tmp_path)
     for words in (run, replay, campaign):
@@ -200,9 +218,7 @@ def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
 def test_every_command_has_help(capsys):
     assert main(["--help"]) == 0
     names = re.findall("^│ ([a-z]+) ", capsys.readouterr().out, re.MULTILINE)
-    assert names == [
-        "calibrate", "campaign", "doctor", "export", "lab", "log", "replay", "simulate"
-    ]  # fmt: skip
+    assert names == ["campaign", "export", "lab", "log", "simulate"]
     for name in names:
         assert main([name, "--help"]) == 0
         text = capsys.readouterr().out
@@ -215,6 +231,6 @@ def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch,
     monkeypatch.setenv("HOME", str(tmp_path))
     script = tmp_path / "script"
     assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
-    words = "kappa-mean lever-arm-m process-noise soft_soil bounded_ekf prepared_anew".split()
+    words = "kappa-mean track-width-m process-noise soft_soil bounded_ekf prepared_anew".split()
     assert all(word in script.read_text() for word in words)
     assert re.search("wet.* patches", script.read_text())

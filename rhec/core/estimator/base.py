@@ -5,7 +5,7 @@ from collections import namedtuple
 import numpy as np
 
 from rhec.core._casadi.validation import of_length, refuse, shown
-from rhec.core.model.base import SIGMA_UNMEASURED
+from rhec.core.model.base import SIGMA_HELD, SIGMA_UNMEASURED
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 
@@ -98,7 +98,8 @@ def joint_guess(model, guess, sigma):
             raise ValueError(f"guess of {name!r} was {guess[name]}; it should be within {bounds}")
     names = model.joint_names
     mean = np.array([guess.get(name, 0.0) for name in names])
-    return mean, np.array([sigma.get(name, SIGMA_UNMEASURED) for name in names])
+    unknown = {name: SIGMA_UNMEASURED * model.sigma_held.get(name, SIGMA_HELD) for name in names}
+    return mean, np.array([(unknown | sigma)[name] for name in names])
 
 
 def joint_estimate(model, values, covariance):

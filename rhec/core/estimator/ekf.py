@@ -78,10 +78,16 @@ class EKF:
         self.settings = noise_of(model, sigma_v, sigma_w)
         P = np.diag(np.square(sigma))
         self.first_memory = np.array([*m, *P.ravel(), *np.zeros(len(model.inputs)), 0.0])
-        self._call.set(memory=self.first_memory, **self.settings)
+        self._call.set(**self.settings)
+        self.restart()
 
     def __repr__(self) -> str:
         return f"EKF, dt {self.dt_s:g} s\n{self.model}"
+
+    def restart(self) -> None:
+        """Let the next sample be the first, which corrects the first guess."""
+        self._call.set(memory=self.first_memory)
+        self._started = False
 
     def prepare(self) -> None:
         """Do nothing: the filter does all its work in `feedback`."""
@@ -99,7 +105,12 @@ class EKF:
 
     @property
     def ok(self) -> bool:
-        """Whether the last estimate and its covariance are made of plausible numbers."""
+        """Whether the last estimate and its covariance are made of plausible numbers.
+
+        Before the first sample there is no estimate.
+        """
+        if not self._started:
+            return False
         results = self._call.results
         numbers = np.concatenate([results["estimate"], results["covariance"]])
         return bool(np.all(np.abs(numbers) <= MAX_PLAUSIBLE_STATE))
@@ -118,6 +129,7 @@ class EKF:
         n_s = self.model.n_s
         copy_checked("z", z, arguments["z_N"])
         self._call.call()
+        self._started = True
         arguments["memory"][:] = results["memory"]
         covariance = results["covariance"].reshape(n_s, n_s).copy()
         return joint_estimate(self.model, results["estimate"].copy(), covariance)

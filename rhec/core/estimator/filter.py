@@ -12,7 +12,7 @@ import numpy as np
 
 from rhec.core._casadi.build import every
 from rhec.core.estimator import kalman
-from rhec.core.model.base import SIGMA_HELD, Interval
+from rhec.core.model.base import Interval
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.gauss_newton import symmetric
 
@@ -23,7 +23,7 @@ class Noise(NamedTuple):
     V: Any  # (n_z,) of the measurements
     W: Any  # (n_s,) of the process, per sample
     c: Any = None  # constants of the noise by motion, if the Model has any
-    held: Any = SIGMA_HELD**2  # of an input that was not measured and is taken to be the last one
+    held: Any = None  # of an input that was not measured; None: as the Model says
 
 
 class Sample(NamedTuple):

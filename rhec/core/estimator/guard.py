@@ -9,6 +9,7 @@ feedback. What it says then reaches all phases by `with_guard`:
 
 - feedback solves with what is used; its `ok` is 0 where the sample contradicts the prediction;
 - expand keeps the window, or restarts it, and remembers what was used;
+- the newest interval is linearised at its input as it is used (`newest_interval`);
 - shift and linearise have the noise that was used at each node: Q of the interval before it, where
   process noise acts within the window (`window_noise`).
 
@@ -27,6 +28,11 @@ The words, here and there:
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.estimator import newest_interval, noise_level
+
+# The feedback of `solve`, if it is another: its input `iteration` is 1 at first and then 2. That of
+# a sample without iterations is 0.
+ITERATED = "iterated_feedback"
 
 # The noise Q of the window's intervals, which is remembered where process noise acts within it.
 
@@ -53,7 +59,16 @@ def _shapes(function, *without):
 
 def _call(function, values):
     """A Function of these values, in which Q is that of all intervals."""
-    return function(**select_inputs(function, values | dict(Q=values.get("Q_window"))))
+    values = values | dict(Q=values.get("Q_window"))
+    arguments = [values[name] for name in function.name_in()]
+    # Inlined, an MX Function does not copy its results into those of the one around it.
+    results = function.call(arguments, function.is_a("MXFunction"), False)
+    return dict(zip(function.name_out(), results))
+
+
+def noise_as_used(window, values, scale):
+    """`values` with the variances V of a time when the noise had this scale."""
+    return values | dict(V=noise_level.scaled(window, values["V"], ca.fmax(scale, 1)))
 
 
 def _wrap_shift(window, shift_of_rhe, memory, symbols):
@@ -63,19 +78,17 @@ def _wrap_shift(window, shift_of_rhe, memory, symbols):
         if window.noisy:  # the newest column is not known before the feedback
             Q = inputs["Q_window"]
             pieces["Q_window"] = ca.horzcat(Q[:, 1:], Q[:, -1])
-        return _call(shift_of_rhe, inputs) | pieces
+        return _call(shift_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"])) | pieces
 
     return shift
 
 
 def _wrap_linearise(window, linearise_of_rhe, symbols):
-    if not window.noisy:
-        return linearise_of_rhe
-    shapes = _shapes(linearise_of_rhe, "Q") | noise_memory(window)
+    shapes = _shapes(linearise_of_rhe, "Q") | noise_memory(window) | dict(noise_scale=(1, 1))
 
     @casadi_function("guarded_linearise", symbols, **shapes)
     def linearise(**inputs):
-        return _call(linearise_of_rhe, inputs)
+        return _call(linearise_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"]))
 
     return linearise
 
@@ -83,7 +96,9 @@ def _wrap_linearise(window, linearise_of_rhe, symbols):
 def _wrap_feedback(window, feedback_of_rhe, symbols):
     judge = window.judge
     function = judge.build(window)
-    shapes = _shapes(feedback_of_rhe) | _shapes(function)
+    intervals = newest_interval.build(window, judge) if window.at_measured_input else None
+    shapes = _shapes(feedback_of_rhe) | _shapes(function, *newest_interval.VARIANTS)
+    shapes |= newest_interval.needs(window) if intervals else {}
     # The process noise of the sample has the name of the one by which the arrival cost grows.
     if window.noisy:
         shapes["W"] = shapes.pop("Q")
@@ -92,7 +107,12 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
     def feedback(**inputs):
         used = dict(Q_used=inputs["W"]) if window.noisy else {}
         given = inputs | dict(Q=inputs.get("W"))
+        if intervals:
+            given |= intervals(**select_inputs(intervals, given))
         verdict = function(**select_inputs(function, given))
+        chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
+        given = newest_interval.replaced(given, chosen)
+        given = noise_as_used(window, given, verdict["scale_used"])
         given["z_N"] = verdict["z_used"]
         given["P_N"] = verdict.pop("P_used")
         given["m_N"] = verdict.pop("m_used")
@@ -100,31 +120,59 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
             given["Q_window"] = whole_noise(window, given | used)["Q"]
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
         concluded = judge.conclude(window, inputs, verdict, result)
-        del verdict["agrees"]
-        return result | verdict | used | concluded
+        for name in ("agrees", "as_measured", "is_rejected"):
+            del verdict[name]
+        taken = {f"{name}_taken": piece for name, piece in chosen.items()}
+        taken |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}
+        return result | verdict | used | concluded | taken
 
     return feedback
+
+
+def _first_and_later(window, feedback, symbols):
+    """The phase "feedback", and the one of later iterations on a sample, if it is another."""
+    if not window.doubts_model:
+        return dict(feedback=feedback)
+
+    @casadi_function("only_feedback", symbols, **_shapes(feedback, "iteration"))
+    def first(**inputs):
+        return feedback(**inputs, iteration=0)
+
+    return {"feedback": first, ITERATED: feedback}
 
 
 def _wrap_expand(window, expand_of_rhe, symbols):
     restarted = window.judge.build_restarted(window)
     pieces = window.judge.memory(window)
     shapes = _shapes(expand_of_rhe, "z_N", "Q") | noise_memory(window)
-    shapes |= dict(z_used=expand_of_rhe.sparsity_in("z_N"), kept=(1, 1))
+    shapes |= dict(z_used=expand_of_rhe.sparsity_in("z_N"), kept=(1, 1), scale_used=(1, 1))
     if window.noisy:
         shapes |= dict(Q_used=window.noise["Q"])
     shapes |= {f"{name}_after": shape for name, shape in pieces.items()}
     shapes |= _shapes(restarted, "goes_on", "Q", *shapes) | dict(restart=(1, 1))
+    pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
+    shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
+    shapes |= dict(is_only_step=(1, 1)) if pieces_of_newest else {}
 
     @casadi_function("guarded_expand", symbols, **shapes)
     def expand(**inputs):
+        taken = {name: inputs[f"{name}_taken"] for name in pieces_of_newest}
+        inputs = newest_interval.replaced(inputs, taken)
+        inputs = noise_as_used(window, inputs, inputs["scale_used"])
         noises = whole_noise(window, inputs)
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
         result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
         kkt = ca.if_else(inputs["ok"], result.pop("kkt"), ca.DM.nan())
+        if pieces_of_newest:
+            within = newest_interval.within_range(window, result["v"], inputs["v"], inputs["V"])
+            result["v"] = ca.if_else(inputs["is_only_step"], within, result["v"])
         memory = result | {f"{name}_window": value for name, value in noises.items()}
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
-        newest = dict(Q=inputs.get("Q_used"), goes_on=1 - inputs["restart"])
+        is_alone = inputs["restart"]
+        if window.doubts_model:
+            settles = inputs["kept"] * (inputs["settling_after"] > 0)
+            is_alone = ca.logic_or(is_alone, settles)
+        newest = dict(Q=inputs.get("Q_used"), goes_on=1 - is_alone)
         memory |= restarted(**select_inputs(restarted, inputs | memory | newest))
         return memory | dict(kkt=kkt)
 
@@ -140,9 +188,10 @@ def with_guard(window, phases, symbols):
         symbols: SX or MX, of the Functions that call others.
     """
     memory = noise_memory(window) | window.judge.memory(window)
+    feedback = _wrap_feedback(window, phases["feedback"], symbols)
     return dict(
         shift=_wrap_shift(window, phases["shift"], memory, symbols),
         linearise=_wrap_linearise(window, phases["linearise"], symbols),
-        feedback=_wrap_feedback(window, phases["feedback"], symbols),
+        **_first_and_later(window, feedback, symbols),
         expand=_wrap_expand(window, phases["expand"], symbols),
     )

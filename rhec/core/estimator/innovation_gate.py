@@ -9,13 +9,15 @@ Sec. 5.7). One Gauss-Newton step from an outlier can end at a yaw and parameters
 later step returns. A sample has three chances:
 
 1. It is used as it was measured, if d is within the limit.
-2. It is used without those measured inputs that differ from the last ones, if d is then: an encoder
-   may be wrong where the position is not.
+2. It is used without those measured inputs that are beyond all inputs of the window, if d is then:
+   an encoder may be wrong where the position is not. An input that the window has had before, such
+   as a steering angle that changes sides, is no sign of a fault.
 3. Otherwise it is rejected: the judged outputs count as missing, and so do such inputs.
 
 While samples are rejected, or have no judged output, S is not that of the prediction, whose window
 loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
-sample that was used, times one more than the samples that had no output since.
+sample that was used, times one more than the samples that had no output since. An input that is not
+measured may be anything: deviations count once more for each sample in a row without some.
 
 What is wrong may be the estimate and not the samples. Then their innovations follow each other:
 those of a position that has moved for good are all alike, those of a wrong speed grow evenly. The
@@ -31,12 +33,13 @@ lets grow at the estimate what the model does not: such intervals tell of a stat
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.core.estimator import new_start
+from rhec.core.estimator import half_turn, new_start, newest_interval, noise_level
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
@@ -46,8 +49,7 @@ class Tuned(NamedTuple):
     """The numbers that were chosen, not derived.
 
     They were chosen on drives 0 to 39 of the table in tests/guard_table.py; its nightly test has
-    drives 0 to 23. On drives 40 to 159, 10, 6 and 3 of 383 rows (by 40 drives) break the rule in
-    the largest error or the time to come back; none is lost more often than the EKF.
+    drives 0 to 23.
     """
 
     # name: value  # [unit] meaning
@@ -55,6 +57,8 @@ class Tuned(NamedTuple):
     in_line: int = 2  # [second differences] within noise, and the window restarts
     windows_of_patience: int = 3  # [windows] of rejected samples before it restarts in any case
     least_patience: int = 30  # [samples] at least
+    settles: int = 3  # [good samples] in a row, after a restart, until the window grows again
+    settled: float = 0.25  # [limit] distance of such a sample
 
 
 TUNED = Tuned()
@@ -68,13 +72,15 @@ class InnovationGate:
     `accepted` tells of the `reported` outputs, by name, which are used. Where the model may lead
     nowhere (`doubts_model`), as one without slopes in places does, the prediction and all nodes of
     the window have to be plausible. `half_turn` tells how to see that the robot is thought to be
-    turned round; without it nothing does.
+    turned round; without it the Model does, if it names its heading. A gate that does not reject
+    uses all samples, as far from their prediction as they are.
     """
 
     judged: tuple[str, ...] = ()
     reported: tuple[str, ...] = ()
     doubts_model: bool = True
     half_turn: HalfTurn | None = None
+    rejects: bool = True
 
     def outputs(self, window):
         """The outputs that are judged."""
@@ -84,79 +90,207 @@ class InnovationGate:
 
     def limit(self, window):
         """The largest d of a sample that is used."""
+        if not self.rejects:
+            return np.inf
         return _quantile(max(len(self.outputs(window)), 1))
 
-    def sees_half_turns(self, window):
-        """Whether this window can tell that it is turned round."""
-        return bool(self.half_turn and self.half_turn.is_possible(window))
+    def half_turn_of(self, window):
+        """How this window can tell that it is turned round: as given, or as its Model says."""
+        return self.half_turn or half_turn.of_model(window.model)
+
+    def sees_parameter(self, window):
+        """Whether a parameter of this window can tell that it is turned round."""
+        turn = self.half_turn_of(window)
+        return bool(turn and turn.has_parameter(window))
+
+    def sees_opposite(self, window):
+        """Whether it is predicted where the robot would be with the opposite heading."""
+        return window.model.heading is not None
 
     def memory(self, window):
         """What is remembered of the samples before.
 
         How many were rejected in a row, how many second differences of these are within noise, how
         many had no output since the last one that was used; the innovations of the last two, and
-        the covariance S of the last one that was used. Then after how many samples the robot seemed
-        to be turned round.
+        the covariance S of the last one that was used. How noisy they are (`noise_level`). For how
+        many samples the window still has to settle, and how many had no inputs. Then after how many
+        samples the robot seemed to be turned round, and where it would be then.
         """
         n = len(self.outputs(window))
         memory = dict(rejected=(1, 1), in_line=(1, 1), missing=(1, 1), trail=(n, 2), S=(n, n))
-        return memory | (dict(turned=(1, 1)) if self.sees_half_turns(window) else {})
+        memory |= noise_level.SHAPES
+        if self.doubts_model:
+            memory |= dict(settling=(1, 1))
+        if window.at_measured_input:
+            memory |= dict(unknown=(1, 1))
+        if self.sees_parameter(window):
+            memory |= dict(turned=(1, 1))
+        if self.sees_opposite(window):
+            memory |= dict(opposite=(window.interval.n_s, 1))
+        return memory
 
     def build(self, window):
         """The Function (prediction, s_N, z_N, noise, memory, …) -> how the newest sample is used.
 
-        That is `z_used`, the prediction's `m_used` and `P_used`, `agrees`, `accepted`, `restart`,
-        and of each piece of the memory `<piece>_after`.
+        That is `z_used` with the noise's factor `scale_used`, the prediction's `m_used` and
+        `P_used`, `agrees`, `accepted`, `restart` and where, `s_restart`, and of each piece of the
+        memory `<piece>_after`.
         """
-        interval = window.interval
         outputs = self.outputs(window)
-        limit = self.limit(window)
         shapes = window.prediction | window.noise | self.memory(window)
-        shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
-        shapes |= dict(z_N=(len(window.model.outputs), 1))
-        if self.sees_half_turns(window):
-            shapes |= dict(age=(1, 1))  # for `conclude`
+        shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (window.interval.n_s, 1))
+        shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
+        if self.sees_parameter(window) or self.sees_opposite(window):
+            shapes |= dict(age=(1, 1))
+        if window.at_measured_input:
+            shapes |= newest_interval.variants_of(window)
+        if self.doubts_model:
+            shapes |= dict(iteration=(1, 1))
 
         @casadi_function("gate", ca.SX, **shapes)
-        def gate(B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_N, age=None, **values):
+        def gate(m_0, P_0, z_N, v, age=None, iteration=None, **values):
             before = {name: values.pop(name) for name in self.memory(window)}
-            kept = _with_inputs_as_before(interval, z_N, v_N, limit * values["V"])
-            measured = window.predict_input(B_N, m_N, P_N, v_N, z_N, **values)
-            without = window.predict_input(B_N, m_N, P_N, v_N, kept, **values)
-            H = ca.vertcat(ca.SX(0, interval.n_s), *(output.H(s_N) for output in outputs))
-            has = ca.vertcat(*(output.is_valid(z_N) for output in outputs))
-            V = ca.vertcat(*(values["V"][output.row] for output in outputs))
-            S = H @ measured[1] @ H.T + ca.diag(V)
-            S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
-            grown = S * (1 + before["missing"])
-            y_measured, y_without = (
-                new_start.innovation(outputs, z_N, m, s_N) for m, _ in (measured, without)
-            )
-            agrees = _distance(y_measured, grown, has) <= limit  # 0 where it is NaN
-            more = H @ (without[1] - measured[1]) @ H.T
-            agrees_without = _distance(y_without, grown + more, has) <= limit
-            is_used = ca.logic_or(agrees, agrees_without)
-            # m_N knows nothing of bounds; s_N follows from the last solution, which does.
-            s, _ = window.predict_input(B_N, s_N, P_N, v_N, kept, **values)
-            y = new_start.innovation(outputs, z_N, s, s_N)
-            can_restart = new_start.fits(window, outputs, s, s_N, y)
-            after, restart = _counted(before, is_used, has, y, S, limit, window.N, can_restart)
-            is_used = ca.logic_or(is_used, restart)
-            rejected = _without(outputs, kept)
-            z_used = ca.if_else(agrees, z_N, ca.if_else(is_used, kept, rejected))
-            m, P = new_start.anew(window, outputs, s_N, P_N, y, m_0, P_0)
+            noise = {name: values.pop(name) for name in window.noise}
+            predictions = _predictions(window, values)
+            seen = self._compared(window, before, noise, predictions, z_N, v, iteration)
+            run = self._run(window, before, noise, seen, z_N, age)
+            m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, m_0, P_0)
+            fits = ca.logic_or(seen.fits, run.is_noisier)
+            is_used = ca.logic_or(seen.is_used, run.is_noisier)
+            other = ca.logic_or(is_used, run.restart)
+            rejected = _without(outputs, seen.kept)
+            z_used = ca.if_else(fits, z_N, ca.if_else(other, seen.kept, rejected))
+            as_used = _chosen(fits, seen.at_measured, seen.at_kept)
+            scale, after = self._after(window, before, seen, run, is_used)
             return dict(
                 z_used=z_used,
-                m_used=ca.if_else(restart, m, m_N),
-                P_used=ca.if_else(restart, P, P_N),
+                scale_used=scale,
+                m_used=ca.if_else(run.restart, m, as_used.m),
+                P_used=ca.if_else(run.restart, P, as_used.P),
+                s_restart=run.s,
+                m_alone=as_used.m,
+                as_measured=fits,
+                is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
-                agrees=is_used * (1 - restart * bool(window.model.state_bounds)),
-                restart=restart,
+                agrees=ca.logic_or(is_used, run.restart * (not window.model.state_bounds)),
+                restart=run.restart,
                 **self._report(window, z_used),
                 **{f"{name}_after": value for name, value in after.items()},
             )
 
         return gate
+
+    def _compared(self, window, before, noise, predictions, z_N, v, iteration):
+        """The sample beside its predictions: what is _Seen."""
+        interval = window.interval
+        outputs = self.outputs(window)
+        at_measured, at_kept = predictions
+        widest = limit = self.limit(window)
+        kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
+        rows = [output.H(at_measured.s) for output in outputs]
+        H = ca.vertcat(ca.SX(0, interval.n_s), *rows)
+        has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
+        scale = noise_level.scale_of(before)
+        V = scale * ca.vertcat(*(noise["V"][output.row] for output in outputs))
+        strays = 0
+        if self.doubts_model:
+            widest = limit * noise_level.width_of(before)
+            strays = _strays(at_measured, H, V, limit) * (iteration == 0)
+            at_measured, at_kept = (_straight(each, strays) for each in predictions)
+        m, P = at_measured.given(window, z_N, noise)
+        m_kept, P_kept = at_kept.given(window, kept, noise)
+        S = H @ P @ H.T + ca.diag(V)
+        S = ca.if_else(before["rejected"] + before["missing"] > 0, before["S"], S)
+        grown = S * (1 + before["missing"])
+        unknown = 0
+        if window.at_measured_input:
+            unknown = before["unknown"] + (ca.sum1(has) > 0) * _lacks_inputs(interval, z_N)
+            grown = grown * (1 + unknown) ** 2
+        d = _distance(new_start.innovation(outputs, z_N, m, at_measured.s), grown, has)
+        y_kept = new_start.innovation(outputs, z_N, m_kept, at_kept.s)
+        fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= widest
+        fits = d <= widest  # 0 where it is NaN
+        return _Seen(
+            at_measured,
+            at_kept,
+            kept,
+            has,
+            S,
+            grown,
+            widest,
+            d,
+            scale,
+            strays,
+            unknown,
+            fits,
+            is_used=ca.logic_or(fits, fits_kept),
+        )
+
+    def _run(self, window, before, noise, seen, z_N, age):
+        """The _Run of rejected samples with this one, if it is not used."""
+        outputs = self.outputs(window)
+        # m_N knows nothing of bounds; s_N follows from the last solution, which does.
+        s_N = seen.at_kept.s
+        s, _ = seen.at_kept._replace(m=s_N).given(window, seen.kept, noise)
+        y = new_start.innovation(outputs, z_N, s, s_N)
+        square = noise_level.square_of(before, y, seen.S)
+        counted, is_in_line = _counted(before, seen, square)
+        is_rejected = 1 - seen.is_used
+        is_noisy = noise_level.is_noisy(counted, is_in_line) * is_rejected
+        if self.sees_parameter(window):  # what seems to be turned round is no noise
+            is_noisy *= before["turned"] == 0
+        is_noisier = is_noisy * (seen.d <= seen.limit * counted["spread"])
+        asks = ca.logic_or(is_in_line, counted["rejected"] >= patience(window.N))
+        restart = asks * is_rejected * (1 - is_noisier)
+        opposite = None
+        if self.sees_opposite(window):
+            opposite, is_there = self._opposite(window, before, seen, z_N)
+            is_there *= restart * (counted["rejected"] <= age) * (seen.d > seen.limit)
+            y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
+            s_N = ca.if_else(is_there, opposite, s_N)
+        restart *= new_start.fits(window, outputs, s, s_N, y)
+        is_louder = is_noisy * ca.logic_or(is_noisier, restart)
+        return _Run(counted, y, square, s_N, is_noisier, is_louder, restart, opposite)
+
+    def _after(self, window, before, seen, run, is_used):
+        """The noise's factor at this sample, and the memory after it."""
+        has_any = ca.sum1(seen.has) > 0
+        is_followed = seen.fits * has_any * (1 - run.is_noisier)
+        if self.sees_parameter(window):
+            is_followed *= before["turned"] == 0
+        level = noise_level.followed(before, run.square / _count(seen), is_followed)
+        louder = seen.scale * run.counted["spread"]
+        level["noise_scale"] = ca.if_else(run.is_louder, louder, level["noise_scale"])
+        n = patience(window.N)
+        share = noise_level.share_after(before, 1 - is_used, has_any, n)
+        after = _remembered(run, is_used, has_any, seen.S, before) | level | dict(share=share)
+        if window.at_measured_input:
+            is_known = is_used * (seen.unknown == before["unknown"])
+            after |= dict(unknown=seen.unknown * (1 - is_known))
+        if self.doubts_model:
+            is_good = is_used * (seen.d <= seen.limit * TUNED.settled)
+            after |= dict(settling=_settling(before, run.restart, seen.strays, is_good))
+        if self.sees_opposite(window):
+            after |= dict(opposite=run.opposite)
+        return ca.if_else(run.is_louder, louder, seen.scale), after
+
+    def _opposite(self, window, before, seen, z_N):
+        """Where the robot would be with the opposite heading, and whether the sample is there."""
+        s = window.interval.step(before["opposite"], seen.at_kept.v, window.dt_s)
+        y = new_start.innovation(self.outputs(window), z_N, s, s)
+        return s, _distance(y, seen.grown, seen.has) <= seen.limit
+
+    def build_kept(self, window):
+        """The Function (z_N, v, V) -> the sample with the inputs that are kept if rejected."""
+        n_z = len(window.model.outputs)
+        shapes = dict(z_N=(n_z, 1), v=window.pieces.v, V=(n_z, 1))
+
+        @casadi_function("kept_inputs", ca.SX, **shapes)
+        def kept(z_N, v, V):
+            variances = self.limit(window) * V
+            return dict(z_kept=_with_inputs_of_window(window.interval, z_N, v, variances))
+
+        return kept
 
     def _report(self, window, z_used):
         """`accepted` (n,) of the n outputs that are reported, by name, if any."""
@@ -186,12 +320,18 @@ class InnovationGate:
             ok *= 1 - is_growing
             restart = ca.logic_or(restart, kept * is_growing)
         after = {name: value for name, value in verdict.items() if name.endswith("_after")}
-        if self.sees_half_turns(window):
-            is_seen = self.half_turn.is_seen(window, result, _quantile(1))
-            turned = self.half_turn.counted(window, given, is_seen)
+        turn = self.half_turn_of(window)
+        if self.sees_parameter(window):
+            is_seen = turn.is_seen(window, result, _quantile(1))
+            turned = turn.counted(window, given, is_seen)
             ok *= 1 - is_seen
-            restart = ca.logic_or(restart, kept * self.half_turn.is_certain(window, turned))
+            restart = ca.logic_or(restart, kept * turn.is_certain(window, turned))
             after["turned_after"] = turned
+        if self.sees_opposite(window):
+            newest = _joint_state(window, result["estimate"])
+            goes_on = verdict["is_rejected"] * (1 - restart)
+            opposite = turn.turned(window, newest, 1)
+            after["opposite_after"] = ca.if_else(goes_on, after["opposite_after"], opposite)
         # A window that fails forgets: what its prediction left here may not be a number.
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
@@ -200,12 +340,80 @@ class InnovationGate:
         """The memory of a window that restarts at its newest sample, unless it goes on."""
 
         def where(s, values):
-            if not self.sees_half_turns(window):
+            if not self.sees_parameter(window):
                 return s
-            return self.half_turn.turned(window, s, values["turned_after"])
+            turn = self.half_turn_of(window)
+            return turn.turned(window, s, turn.is_certain(window, values["turned_after"]))
 
         after = {f"{name}_after": shape for name, shape in self.memory(window).items()}
         return new_start.build(window, self.outputs(window), where, after)
+
+
+class _Prediction(NamedTuple):
+    """A prediction of the newest node before its sample."""
+
+    s: Any  # (n_s,) end of the newest interval, which follows the last solution
+    v: Any  # (n_v,) its inputs
+    B: Any  # (n_s, n_v) ∂s/∂v
+    m: Any  # (n_s,) mean
+    P: Any  # (n_s, n_s) covariance
+
+    def given(self, window, z, noise):
+        """Mean and covariance, with what z says about the inputs."""
+        return window.predict_input(self.B, self.m, self.P, self.v, z, **noise)
+
+
+class _Seen(NamedTuple):
+    """A sample beside its predictions."""
+
+    at_measured: Any  # the _Prediction with all measured inputs
+    at_kept: Any  # the one with the inputs that are kept
+    kept: Any  # (n_z,) the sample with these
+    has: Any  # (n_y,) which of the judged outputs it has
+    S: Any  # (n_y, n_y) covariance of their innovation
+    grown: Any  # the same for a sample after some that were missing
+    limit: Any  # of the distance
+    d: Any  # distance
+    scale: Any  # factor of the noise
+    strays: Any  # whether the window leads elsewhere than its solution
+    unknown: Any  # how many samples in a row had outputs, but not all inputs
+    fits: Any  # whether it agrees as it was measured
+    is_used: Any  # whether it agrees with some of its inputs
+
+
+class _Run(NamedTuple):
+    """Samples that were rejected in a row, the newest included."""
+
+    counted: Any  # {name: value} of the memory
+    y: Any  # (n_y,) innovation where the window would restart
+    square: Any  # of the second difference of innovations
+    s: Any  # (n_s,) the prediction from which it would restart
+    is_noisier: Any  # whether the newest one agrees if the noise is what they scatter
+    is_louder: Any  # whether the noise is taken to be that
+    restart: Any  # whether the window restarts
+    opposite: Any  # (n_s,) where the robot would be with the opposite heading, or None
+
+
+def _count(seen):
+    """How many outputs a sample has, at least one."""
+    return ca.fmax(ca.sum1(seen.has), 1)
+
+
+def _predictions(window, values):
+    """With the measured inputs, and with those of them that the judge keeps."""
+    if not window.at_measured_input:
+        prepared = _Prediction(*(values[name] for name in newest_interval.PIECES))
+        return prepared, prepared
+    variants = [values[name] for name in newest_interval.VARIANTS]
+    n = len(newest_interval.PIECES)
+    return _Prediction(*variants[:n]), _Prediction(*variants[n:])
+
+
+def _chosen(is_first, first, second):
+    """One of two predictions."""
+    if first is second:
+        return first
+    return _Prediction(*(ca.if_else(is_first, *pair) for pair in zip(first, second)))
 
 
 def patience(N):
@@ -221,6 +429,12 @@ def _kinds(window, estimate):
     return [ca.vertcat(*(values[name] for name in names)) for names in kinds]
 
 
+def _joint_state(window, estimate):
+    """The joint state (n_s,) of an estimate."""
+    values = dict(zip(window.estimated, ca.vertsplit(estimate)))
+    return ca.vertcat(*(values[name] for name in window.model.joint_names))
+
+
 def _quantile(n):
     """The value that a variable χ² with n degrees of freedom exceeds with the gate's share."""
     from scipy.special import chdtri  # it takes a quarter of a second to load
@@ -228,14 +442,15 @@ def _quantile(n):
     return float(chdtri(n, TUNED.share))
 
 
-def _with_inputs_as_before(interval, z, v, variances):
-    """The sample z (n_z,) with NaN for measured inputs that differ from the last ones v (n_v,).
+def _with_inputs_of_window(interval, z, v, variances):
+    """The sample z (n_z,) with NaN for measured inputs beyond those of the window, v (n_v, N).
 
-    They differ where the square of the change exceeds twice the variances (n_z,).
+    They are beyond them where the square of the distance exceeds twice the variances (n_z,).
     """
     kept = ca.SX(z)
     for place, (row, _) in interval.input_outputs.items():
-        stays = (z[row] - v[place]) ** 2 <= 2 * variances[row]
+        nearest = ca.fmin(ca.fmax(z[row], ca.mmin(v[place, :])), ca.mmax(v[place, :]))
+        stays = (z[row] - nearest) ** 2 <= 2 * variances[row]
         kept[row] = ca.if_else(stays, z[row], ca.DM.nan())
     return kept
 
@@ -247,36 +462,64 @@ def _distance(y, S, has):
     return ca.dot(y, ca.ldl_solve(y, *ca.ldl(S, False))) if y.numel() else ca.SX(0)
 
 
-def _counted(before, is_used, has, y, S, limit, N, can_restart):
-    """The memory (a dict) after this sample, and whether the window restarts at it.
+def _counted(before, seen, square):
+    """The run of rejected samples with this one (a dict), and whether the last ones are in line.
 
     Args:
         before: The memory before it.
-        is_used: Whether it is used.
-        has: (n_y,) which outputs it has.
-        y: (n_y,) their innovation.
-        S: (n_y, n_y) its covariance.
-        limit: Of the distance.
-        N: Intervals of the window.
-        can_restart: Whether the window may restart at this sample.
+        seen: The _Seen.
+        square: Of the second difference of innovations, by the variances that are expected.
     """
-    has_any = ca.sum1(has) > 0
-    bend = y - 2 * before["trail"][:, 0] + before["trail"][:, 1]
-    is_line = (before["rejected"] >= 2) * (ca.sum1(bend**2 / (6 * ca.diag(S))) <= limit)
-    rejected = before["rejected"] + 1
-    in_line = ca.if_else(is_line, before["in_line"] + 1, 0)
-    has_to = ca.logic_or(in_line >= TUNED.in_line, rejected >= patience(N))
-    restart = (1 - is_used) * has_to * can_restart
-    goes_on = 1 - ca.logic_or(is_used * has_any, restart)  # without a sample that was used
-    is_rejected = 1 - is_used
-    after = dict(
-        rejected=goes_on * ca.if_else(is_rejected, rejected, before["rejected"]),
-        in_line=goes_on * ca.if_else(is_rejected, in_line, before["in_line"]),
-        missing=goes_on * (before["missing"] + (1 - has_any)),
-        trail=ca.if_else(has_any, ca.horzcat(y, before["trail"][:, 0]), before["trail"]),
-        S=S,
+    is_line = (before["rejected"] >= 2) * (square <= seen.limit)
+    spreads = noise_level.spreads(before, square / _count(seen), ca.sum1(seen.has) > 0, is_line)
+    run = dict(
+        rejected=before["rejected"] + 1,
+        in_line=ca.if_else(is_line, before["in_line"] + 1, 0),
+        **spreads,
     )
-    return after, restart
+    return run, run["in_line"] >= TUNED.in_line
+
+
+def _remembered(run, is_used, has_any, S, before):
+    """The run of rejected samples, missing ones and their innovations, after this sample."""
+    goes_on = 1 - ca.logic_or(is_used * has_any, run.restart)  # without a sample that was used
+    is_rejected = 1 - is_used
+    pairs = {name: (value, before[name]) for name, value in run.counted.items()}
+    counted = {name: goes_on * ca.if_else(is_rejected, *pair) for name, pair in pairs.items()}
+    trail = ca.if_else(has_any, ca.horzcat(run.y, before["trail"][:, 0]), before["trail"])
+    return counted | dict(missing=goes_on * (before["missing"] + (1 - has_any)), trail=trail, S=S)
+
+
+def _settling(before, restart, strays, is_good):
+    """For how many good samples in a row the window has to settle after this one."""
+    left = ca.if_else(is_good, before["settling"] - 1, TUNED.settles)
+    left = (before["settling"] > 0) * left
+    return ca.if_else(ca.logic_or(restart, strays), TUNED.settles, left)
+
+
+def _strays(prediction, H, V, limit):
+    """Whether the window does not lead where its last solution leads.
+
+    It leads to the mean m, its last solution to s. At a solution they are the same. Where they are
+    farther apart in the outputs than a sample may be, the step to m has left the region where the
+    linearisation holds.
+    """
+    apart = H @ (prediction.m - prediction.s)
+    S = H @ prediction.P @ H.T + ca.diag(V)
+    return 1 - (_distance(apart, S, ca.SX.ones(V.numel())) <= limit)
+
+
+def _straight(prediction, strays):
+    """The prediction, or that of an EKF: from the last estimate along the model."""
+    return prediction._replace(m=ca.if_else(strays, prediction.s, prediction.m))
+
+
+def _lacks_inputs(interval, z):
+    """Whether the sample z lacks a measured input."""
+    has_inputs = ca.SX(1)
+    for row, limit in interval.input_outputs.values():
+        has_inputs *= is_valid_measurement(z[row], limit)
+    return 1 - has_inputs
 
 
 def _without(outputs, z):

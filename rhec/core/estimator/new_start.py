@@ -4,6 +4,12 @@ That sample is then the only one of the window, and its arrival cost is the pred
 variance: that of the start, and y² in the direction of each output, for its innovation y. Bounded
 parameters begin anew from their first guess, because the wrong estimate may have driven them to a
 bound at which they stay. A window that is thought to be turned round is turned (`half_turn`).
+
+One Gauss-Newton step through a window that began far from the truth may lead anywhere. So until
+some good samples followed each other the window has to settle: each sample is the only one of the
+window, its arrival cost the prediction and process noise. That is an EKF. So it has to where the
+step of a window led somewhere else than its solution leads (`innovation_gate`). The paper's RHE
+does not settle.
 """
 
 import casadi as ca
@@ -28,18 +34,26 @@ def build(window, outputs, where, after):
     """
     interval = window.interval
     shapes = window.prediction | window.noise | window.pieces._asdict() | after
-    shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (interval.n_s, 1))
+    shapes |= dict.fromkeys(("s_restart", "m_0", "P_0"), (interval.n_s, 1))
     shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.outputs), 1))
+    if window.doubts_model:
+        shapes |= dict(restart=(1, 1), m_alone=(interval.n_s, 1), W=(interval.n_s, 1))
 
     @short_cut("goes_on")
     @casadi_function("restarted", ca.SX, **shapes)
-    def restarted(goes_on, B_N, v_N, m_N, P_N, s_N, m_0, P_0, z_used, **values):
+    def restarted(goes_on, B_N, v_N, m_N, P_N, s_restart, m_0, P_0, z_used, **values):
         memory = {name: values[name] for name in window.pieces._fields}
         noise = {name: values[name] for name in window.noise}
+        s_N = s_restart
         s, _ = window.predict_input(B_N, s_N, P_N, v_N, z_used, **noise)
         y = innovation(outputs, z_used, s, s_N)
         m, P = anew(window, outputs, s_N, P_N, y, m_0, P_0)
-        m, P = window.predict_input(B_N, where(m, values), P, v_N, z_used, **noise)
+        m = where(m, values)
+        if window.doubts_model:
+            added = interval.process_noise(v_N, values["W"], window.dt_s, noise.get("c"))
+            m = ca.if_else(values["restart"], m, values["m_alone"])
+            P = ca.if_else(values["restart"], P, P_N + ca.diag(added))
+        m, P = window.predict_input(B_N, m, P, v_N, z_used, **noise)
         s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
         for place, (lower, upper) in interval.bounds.items():
             s[place] = ca.fmin(ca.fmax(s[place], lower), upper)

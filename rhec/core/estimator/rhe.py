@@ -23,7 +23,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
-from rhec.core.estimator import kalman, window_bounds, window_noise
+from rhec.core.estimator import kalman, newest_interval, window_bounds, window_noise
 from rhec.core.estimator.base import (
     joint_estimate,
     joint_guess,
@@ -31,7 +31,7 @@ from rhec.core.estimator.base import (
     noise_shapes,
     variances_w,
 )
-from rhec.core.estimator.guard import noise_memory, whole_noise, with_guard
+from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, whole_noise, with_guard
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import base
 from rhec.core.model.base import Model
@@ -134,6 +134,19 @@ class Window(NamedTuple):
         return bool(self.judge and self.judge.doubts_model)
 
     @property
+    def at_measured_input(self):
+        """Whether the feedback linearises the `newest_interval` at the measured input.
+
+        The paper's RHE does not: its preparation linearises all that is linearised.
+        """
+        return self.doubts_model and newest_interval.bends(self.model)
+
+    @property
+    def symbols(self):
+        """SX, or MX for Functions with matrices so large that loops are better than scalars."""
+        return ca.SX
+
+    @property
     def noise(self):
         """Shapes at one node: variances V of measurements, constants c of noise by motion.
 
@@ -158,6 +171,11 @@ class Window(NamedTuple):
         """Shapes of node N before its measurement: B = ∂s/∂v, last input v, mean and covariance."""
         s, P, v, *_ = self.shapes
         return dict(B_N=self.interval.sparsities["B"], v_N=v, m_N=s, P_N=P)
+
+    @property
+    def before_newest(self):
+        """Names of the filter's results at the node before, which `newest_interval` needs."""
+        return newest_interval.BEFORE if self.at_measured_input else ()
 
     def predict_input(self, B, m, P, v, z, **noise):
         """Correct the mean m and covariance P of a prediction by what z says about its input v.
@@ -264,8 +282,9 @@ def _build_linearise(window):
         F, D, B = interval.linearised(s, v, dt_s)
         A = interval.A_0 + D
         # The input of the interval is uncertain, too; `predict_input` of the next node adds that.
-        P = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
-        return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P)
+        P_next = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
+        before_newest = dict(zip(window.before_newest, (m, P)))
+        return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P_next) | before_newest
 
     @casadi_function("rhe_linearise", compiled.loop_symbols())
     def linearise(memory: window.pieces, noises: window.noises):
@@ -281,6 +300,7 @@ def _build_linearise(window):
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
         filtered = {name: ca.horzcat(*(node[name] for node in nodes)) for name in Filtered._fields}
+        filtered |= {name: nodes[-1][name] for name in window.before_newest}
         return filtered | dict(zip(window.prediction, before.values()), s_N=s[N])
 
     return linearise
@@ -554,6 +574,13 @@ def build_phases(window):
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
     m_0 if the judge doubts the model.
     """
+    phases, symbols = _build_judged_phases(window)
+    phases.pop(ITERATED, None)
+    return phases | dict(step=_build_step(phases, window.memory, symbols))
+
+
+def _build_judged_phases(window):
+    """The phases, also the feedback of later iterations if it is another, and their symbols."""
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
     symbols = compiled.loop_symbols() if is_closed_form else ca.MX
@@ -564,13 +591,15 @@ def build_phases(window):
         phases = _build_plain_phases(window, window.doubts_model)
     if window.judge:
         phases = with_guard(window, phases, symbols)
-    return phases | dict(step=_build_step(phases, window.memory, symbols))
+    return phases, symbols
 
 
 def build_solvable(window):
     """The phases, and `improve`, by which `solve` iterates with a line search."""
-    phases = build_phases(window)
-    return phases | {IMPROVE: _build_improve(window, phases)}
+    phases, symbols = _build_judged_phases(window)
+    improve = _build_improve(window, phases)
+    phases.pop(ITERATED, None)
+    return phases | dict(step=_build_step(phases, window.memory, symbols)) | {IMPROVE: improve}
 
 
 # Improve: one iteration without shift, for `solve`.
@@ -643,20 +672,24 @@ def _build_cost_and_gaps(window):
 def _build_improve(window, phases):
     """One iteration without shift: linearise, feedback, expand, and a line search.
 
-    The search starts where a sample was used and solved; otherwise expand's window stays.
+    The search starts where a sample was used and solved; otherwise expand's window stays. The first
+    one takes the newest interval at the measured input (`newest_interval`), as a feedback does.
     """
     cost_and_gaps, unknowns, data = _build_cost_and_gaps(window)
     search = line_search("rhe_search", unknowns, data, cost_and_gaps)
     model = window.model
     iteration = [phases[name] for name in PHASES if name != "shift"]
     shapes = window.memory | outer_inputs(iteration, window.memory) | dict(penalty=PENALTY)
+    iterating = phases | dict(feedback=phases.get(ITERATED, phases["feedback"]))
 
     @casadi_function("rhe_improve", ca.MX, **shapes)
     def improve(penalty, **inputs):
-        values, full = iterate(phases, inputs)
+        values, full = iterate(iterating, inputs | dict(iteration=1 + (penalty[1] > 0)))
         z = ca.horzcat(inputs["z"][:, : window.N], values.get("z_used", inputs["z_N"]))
         given = inputs | dict(z=z, v_last=inputs["v"], s_full=full["s"], v_full=full["v"])
         given |= whole_noise(window, values)
+        if window.judge:
+            given = noise_as_used(window, given, values["scale_used"])
         chosen = search(**select_inputs(search, given), penalty=penalty)
         ok = values["ok"]
         moved = {name: ca.if_else(ok, chosen[name], full[name]) for name in unknowns}
@@ -710,8 +743,9 @@ class RHE(RealTimeLoop):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     A sample far outside its prediction is not used, and `ok` is False then; where such samples
-    follow each other the window restarts there (`rhec.core.estimator.innovation_gate`). So it is,
-    and does, where the model's `steps` are too few for its slopes at the estimate.
+    follow each other the window restarts there, and where they scatter they count as noisier
+    (`rhec.core.estimator.innovation_gate`). It also restarts, and is not `ok`, where the model's
+    `steps` are too few for its slopes at the estimate.
 
     Args:
         model: The robot, a rhec.Model.
@@ -722,10 +756,12 @@ class RHE(RealTimeLoop):
             parameter. They enter the arrival cost, eq. (9), and with `noise_in_window` the window.
         guess: First guess of each state, then of each parameter.
         sigma_guess: Standard deviations of the guess.
-        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, so that on a
-            linear model the RHE is the Kalman filter; or "smoothed", from the previous solution.
+        arrival_mean: Prior mean of the oldest node: "filtered", from the EKF update, or "smoothed",
+            from the previous solution. With "filtered" and `noise_in_window` the RHE is the Kalman
+            filter on a linear model; without that noise it trusts the model within the window.
         noise_in_window: Whether the process noise also acts within the window, whose states then
             need not follow the model exactly. `feedback` takes its standard deviations by sample.
+        outliers: Whether samples can be outliers. False: all of them are used.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -749,6 +785,7 @@ class RHE(RealTimeLoop):
         sigma_guess: valid.Positives,
         arrival_mean: ArrivalMean = "filtered",
         noise_in_window: valid.Flag = False,
+        outliers: valid.Flag = True,
     ):
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
@@ -756,7 +793,8 @@ class RHE(RealTimeLoop):
         refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
-        window = Window(model, dt, horizon, arrival_mean, InnovationGate(), noise_in_window)
+        judge = InnovationGate(rejects=outliers)
+        window = Window(model, dt, horizon, arrival_mean, judge, noise_in_window)
         self._load(build_solvable, window, settings)
 
     def _load(self, build, window, settings):
@@ -822,6 +860,19 @@ class RHE(RealTimeLoop):
         self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
+
+    def restart(self) -> None:
+        """Let the next sample be the first, judged by the first guess."""
+        self.iteration.restart()
+
+    @property
+    def rejected(self) -> float:
+        """Share of samples that were rejected as outliers, a running mean over about 30 of them.
+
+        The mean is over three windows, if these are longer.
+        """
+        share = self.iteration.arrays.get("share_after")
+        return 0.0 if share is None else share.item()
 
     @property
     def x_window(self) -> np.ndarray:

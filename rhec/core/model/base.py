@@ -27,9 +27,10 @@ from rhec.core.model.limits import (
     is_valid_measurement,
 )
 
-# Standard deviations of inputs, in each input's unit.
-SIGMA_HELD = 1.0  # a missing input is taken to be the last one
-SIGMA_UNMEASURED = 1e3  # an input without an output of its own is known from other outputs only
+# Standard deviations of inputs.
+HELD_BY_NOISE = 10.0  # of a missing input, taken to be the last one: as a multiple of its sigma_v
+SIGMA_HELD = 1.0  # the same in the input's unit, where it has no output of its own
+SIGMA_UNMEASURED = 1e3  # [SIGMA_HELD] such an input is known from other outputs only
 
 
 class MotionNoise(NamedTuple):
@@ -62,6 +63,12 @@ class Model:
         max_measurement: Largest plausible size of each output; larger values count as missing.
             By default 1e8 in the output's unit: choose units in which no output is that large.
         angles: Names of the outputs that are angles [rad], which are measured up to full turns.
+        heading: Name of the state that is the robot's heading [rad], if any. Where an estimate may
+            be turned round, by half a turn, an RHE then tries the other direction, too.
+        sigma_held: {name: standard deviation} of inputs that are not measured for a sample, and are
+            taken to be the last ones then: how far such an input changes in a sample, in its unit.
+            By default ten times its `sigma_v`. For an input without an output of its own it is the
+            scale of its unit, by default 1, and 1000 times as much is "unknown".
         motion_noise: Noise that grows with the motion, if any.
         steps: Substeps of an interval, for a model that moves fast within one.
         rule: How a substep is integrated: "rk4", the explicit classical Runge-Kutta rule; or for a
@@ -83,6 +90,8 @@ class Model:
     h: Callable[[Any, Any, Any], Any] | None = None
     max_measurement: tuple[float, ...] | None = None
     angles: tuple[str, ...] = ()
+    heading: str | None = None
+    sigma_held: Mapping[str, float] = field(default_factory=dict)
     motion_noise: MotionNoise | None = None
     steps: int = 1
     rule: Rule = "rk4"
@@ -102,6 +111,9 @@ class Model:
         _check_limits(self.max_measurement, len(self.outputs))
         if not set(self.angles) <= set(self.outputs):
             refuse("angles was", self.angles, f"it should name some of {self.outputs}")
+        if self.heading is not None and self.heading not in self.states:
+            refuse("heading was", self.heading, f"it should be None or one of {self.states}")
+        _check_sigma_held(self)
         if not isinstance(self.motion_noise, MotionNoise | None):
             refuse("motion_noise was", self.motion_noise, "it should be a MotionNoise or None")
         _ = self.dynamics, self.measurement  # an invalid f or h is refused at once
@@ -167,7 +179,14 @@ class Model:
             functions.append(_noise_function(self))
         serialized = [function.serialize() for function in functions]
         integration = (self.steps, self.rule, self.discrete)
-        return repr((self.names, self.limits, self.angles, self.bounds, integration, serialized))
+        named = (
+            self.names,
+            self.limits,
+            self.angles,
+            self.heading,
+            sorted(self.sigma_held.items()),
+        )
+        return repr((*named, self.bounds, integration, serialized))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -324,6 +343,17 @@ def _check_state_bounds(model):
     _check_bounds(model.state_bounds or {})
 
 
+def _check_sigma_held(model):
+    if not isinstance(model.sigma_held, Mapping):
+        refuse("sigma_held was", model.sigma_held, "it should be a dict of inputs to numbers")
+    for name, sigma in model.sigma_held.items():
+        if name not in model.inputs:
+            refuse("a name in sigma_held was", name, f"it should be one of {model.inputs}")
+        is_number = isinstance(sigma, int | float) and not isinstance(sigma, bool)
+        if not is_number or not 0 < sigma < MAX_PLAUSIBLE_STATE**0.5:
+            refuse(f"sigma_held of {name!r} was", sigma, "it should be a number above 0")
+
+
 def _check_limits(limits, n_z):
     if limits is None:
         return
@@ -375,6 +405,7 @@ class Interval(NamedTuple):
     input_outputs: dict[int, tuple[int, float]]  # place in v: place in z, limit
     mixing_outputs: dict[int, list[tuple[int, float]]]  # the same of all other outputs of it
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
+    sigma_held: dict[int, float]  # place in v: as the Model says, where it does
     motion_noise: MotionNoise | None
 
     @property
@@ -382,25 +413,31 @@ class Interval(NamedTuple):
         """Sparsities of the interval's end F, of D and of B, by name."""
         return {name: self.linearised.sparsity_out(i) for i, name in enumerate("FDB")}
 
-    def input_noise(self, z, v, V, c=None, held=SIGMA_HELD**2):
+    def input_noise(self, z, v, V, c=None, held=None):
         """Mean and variances (n_v,) of the inputs, given the measurements z and the last inputs v.
 
-        A missing input is taken to be the last one, with the variance `held`.
+        A missing input is taken to be the last one, with the variance `held`; None: as the Model
+        says, by default a multiple of its measurements' variance.
         """
         mean = []
         variance = []
         for place in range(self.n_v):
+            sigma = self.sigma_held.get(place)
             if place in self.input_outputs:
                 row, limit = self.input_outputs[place]
                 is_valid = is_valid_measurement(z[row], limit)
+                by_noise = V[row] * HELD_BY_NOISE**2
+                missing = held if held is not None else sigma**2 if sigma else by_noise
                 mean.append(ca.if_else(is_valid, z[row], v[place]))
-                variance.append(ca.if_else(is_valid, V[row], held))
+                variance.append(ca.if_else(is_valid, V[row], missing))
             else:
+                sigma = sigma or SIGMA_HELD
                 others = self.mixing_outputs[place]
                 valid = [is_valid_measurement(z[row], limit) for row, limit in others]
                 n_valid = sum(valid, ca.SX(0))
+                missing = sigma**2 if held is None else held
                 mean.append(v[place])
-                variance.append(ca.if_else(n_valid, SIGMA_UNMEASURED**2, held))
+                variance.append(ca.if_else(n_valid, (SIGMA_UNMEASURED * sigma) ** 2, missing))
         noise = ca.vertcat(*mean), ca.vertcat(*variance)
         return self.motion_noise.inputs(*noise, c) if self.motion_noise else noise
 
@@ -449,6 +486,7 @@ def interval(model, measured=True):
             for place in range(u.numel())
         },
         bounds=model.bounds,
+        sigma_held={model.inputs.index(name): sigma for name, sigma in model.sigma_held.items()},
         motion_noise=model.motion_noise,
     )
 

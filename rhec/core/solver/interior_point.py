@@ -252,6 +252,7 @@ def _build_start(shape):
         free_way = ca.sqrt(scale * compliance)
         widest = ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way)
         own = _OWN_PRICE * ca.sqrt(scale * stiffness[shape.n_hard :])
+        own += _pushed(shape, given, b, compliance, stiffness)
         price = dict(linear=ca.if_else(given["linear"] < _NO_BOUND, given["linear"], own))
         price |= dict(quadratic=given["quadratic"])
         linear, quadratic = (ca.repmat(each, 1, shape.N + 1) for each in price.values())
@@ -274,6 +275,20 @@ def _build_start(shape):
         return constant | point | dict(scale=scale, gap=1, error=1, gain=1, iterations=0)
 
     return start
+
+
+def _pushed(shape, given, b, compliance, stiffness):
+    """By how much rows with prices may push one without a price, as a price of that row (n_soft,).
+
+    They push at every node, each with its price times the way of the row for a multiplier of one,
+    and what they do to a command's changes adds up along the horizon once more.
+    """
+    soft = slice(shape.n_hard, None)
+    beyond = _largest(ca.fmax(-b[soft, :], 0))
+    linear = ca.if_else(given["linear"] < _NO_BOUND, given["linear"], 0)
+    asked = linear + given["quadratic"] * beyond
+    push = (shape.N + 1) ** 2 * ca.sum1(asked * ca.sqrt(compliance[soft]))
+    return push * ca.sqrt(stiffness[soft])
 
 
 def _build_without_bounds(shape):

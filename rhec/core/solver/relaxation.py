@@ -13,7 +13,7 @@ from rhec.core.solver.line_search import CONVERGED, DONE, NEAR
 
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
-_NO_STEP = 1e-9  # relative to the largest number: a step at which an iteration ends
+_NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration ends
 _TINY = 1e-300
 
 
@@ -38,8 +38,7 @@ def relaxation(unknowns, data, cost):
     def search(penalty, solved, kkt, **values):
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
         step = ca.veccat(*(values[f"{key}_full"] - values[key] for key in unknowns))
-        after_full_step = ca.veccat(*(values[key] for key in full))
-        stays = ca.norm_inf(step) <= _NO_STEP * ca.norm_inf(after_full_step)
+        stays = ca.norm_inf(step) <= _NO_STEP * ca.norm_inf(_extent(values, unknowns))
         share = _next_share(penalty[0], penalty[1:], step)
         done = ca.logic_or(change <= DONE, stays)
         is_full = ca.logic_or(done, share == 1)
@@ -53,6 +52,16 @@ def relaxation(unknowns, data, cost):
         return result | flags | dict(penalty_after=carry)
 
     return search
+
+
+def _extent(values, unknowns):
+    """How far the plan goes: its states from where it begins, far from the origin or not."""
+    parts = []
+    for key in unknowns:
+        plan = values[f"{key}_full"]
+        begin = ca.repmat(plan[:, 0], 1, plan.size2()) if key == "s" else 0
+        parts.append(plan - begin)
+    return ca.veccat(*parts)
 
 
 def _next_share(share, last, step):

@@ -119,7 +119,10 @@ class RealTimeIteration:
         self.restart()
 
     def restart(self):
-        """Let the next sample be the first."""
+        """Let the next sample be the first; until then there is no result."""
+        for name in ("ok", "share_after"):
+            if name in self.arrays:
+                self.arrays[name][:] = 0
         self.started = self.prepared = self.expanded = self.converged = False
 
     @staticmethod

@@ -4,7 +4,7 @@
  * The first line of the log has the column names. Each further line has a measurement: x, y, nu,
  * omega and the sensors of the export, as rhec_memory.h names them (RHEC_OUTPUTS). An empty field
  * or nan marks a missing measurement. If lines also have Python's results (x, y, theta, nu, mu,
- * kappa and the command), the program reports the largest difference and fails if it exceeds
+ * kappa and the command, if there is one), the program reports the largest difference and fails if it exceeds
  * 1e-9. */
 #include <math.h>
 #include <stdio.h>
@@ -13,7 +13,11 @@
 
 #include "rhec.h"
 
+#ifdef RHEC_CONTROLLER
 enum { MEASURED = RHEC_OUTPUTS, COMPUTED = RHEC_ESTIMATE + 1 };
+#else
+enum { MEASURED = RHEC_OUTPUTS, COMPUTED = RHEC_ESTIMATE };
+#endif
 
 /* Reads the numbers of a line, NaN for empty fields. Returns the number of fields. */
 static int parse(char *line, double *numbers, int most)
@@ -40,7 +44,11 @@ int main(int argc, char **argv)
     double largest = 0;
     int compared = 0;
     rhec_init(&r, &rhec_scenario, rhec_scenario_guess);
+#ifdef RHEC_CONTROLLER
     puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,omega_cmd_radps,status");
+#else
+    puts("x_hat_m,y_hat_m,theta_hat_rad,nu_hat_mps,mu_hat,kappa_hat,status");
+#endif
     while (fgets(line, sizeof line, log)) {
         double numbers[MEASURED + COMPUTED], result[COMPUTED];
         int count = parse(line, numbers, MEASURED + COMPUTED);
@@ -48,9 +56,10 @@ int main(int argc, char **argv)
             numbers[i] = NAN;
         }
         rhec_prepare_estimate(&r);
-        rhec_prepare_control(&r);
         int status = rhec_estimate(&r, numbers, result);
+#ifdef RHEC_CONTROLLER
         status |= rhec_control(&r, &result[RHEC_ESTIMATE]);
+#endif
         for (int i = 0; i < COMPUTED; i++) {
             printf("%.17g,", result[i]);
         }

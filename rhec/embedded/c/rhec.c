@@ -73,10 +73,13 @@ static void restart(struct rhec *r, const double guess[], const double other[])
                                                : fallback[i];
     }
     estimator_start(r);
+#ifdef RHEC_HEADINGS
+    estimator_first(r);
+#endif
 #ifdef RHEC_YAW_DRIFT
     r->estimator.yaw_drift[0] = 0;
 #endif
-#ifdef RHEC_PATH
+#if defined RHEC_PATH && defined RHEC_CONTROLLER
     path_closest(r);
 #endif
     r->estimator_stage = TO_SHIFT;
@@ -160,6 +163,38 @@ int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[
 }
 #endif
 
+#ifdef RHEC_COVARIANCE
+void rhec_sigma(const struct rhec *r, double sigma[RHEC_ESTIMATE])
+{
+    for (int i = 0; i < RHEC_ESTIMATE; i++) {
+        int k = rhec_variances[i];
+
+        sigma[i] = NAN;
+        if (k >= 0) {
+            sigma[i] = RHEC_INFLATION * sqrt(r->estimator.covariance[k * (RHEC_COVARIANCE + 1)]);
+        }
+    }
+}
+#endif
+
+#ifdef RHEC_HEADINGS
+double rhec_move(struct rhec *r, const double z[RHEC_OUTPUTS], const double held[RHEC_OUTPUTS],
+                 const double ages_s[RHEC_OUTPUTS])
+{
+    rhec_prepare_estimate(r); /* a restart changes the last estimate */
+    memcpy(r->estimator.measured, z, sizeof r->estimator.measured);
+    memcpy(r->estimator.held, held, sizeof r->estimator.held);
+    memcpy(r->estimator.ages, ages_s, sizeof r->estimator.ages);
+    estimator_move(r);
+    return r->estimator.square[0];
+}
+
+const double *rhec_moved(const struct rhec *r)
+{
+    return r->estimator.moved;
+}
+#endif
+
 #endif /* RHEC_ESTIMATOR */
 
 void rhec_init(struct rhec *r, const struct rhec_settings *settings, const double guess[RHEC_GUESS])
@@ -172,7 +207,7 @@ void rhec_init(struct rhec *r, const struct rhec_settings *settings, const doubl
 #else
     (void)guess;
 #endif
-#ifdef RHEC_PATH
+#if defined RHEC_PATH && defined RHEC_CONTROLLER
     controller_start(r);
     r->controller_stage = TO_SHIFT;
 #endif

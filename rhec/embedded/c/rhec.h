@@ -61,6 +61,10 @@ enum {
 /* The settings and the guess of this export. A copy of the settings may be changed. */
 extern const struct rhec_settings rhec_scenario;
 extern const double rhec_scenario_guess[RHEC_GUESS];
+#ifdef RHEC_COVARIANCE
+/* Of each entry of the estimate its row of the covariance, -1 without one. */
+extern const int rhec_variances[RHEC_ESTIMATE];
+#endif
 
 /* Initialisation. The settings are not copied and must stay valid. guess: (x, y, theta, nu, mu,
  * kappa) for a scenario, the joint state for a model. Implausible entries are replaced: for a
@@ -80,6 +84,22 @@ void rhec_prepare_estimate(struct rhec *r);
  * sample; NaN marks missing measurements. estimate: (x, y, theta, nu, mu,
  * kappa) for a scenario; states, inputs of the last interval and parameters for a model. */
 int rhec_estimate(struct rhec *r, const double z[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE]);
+
+#ifdef RHEC_COVARIANCE
+/* Standard deviations of the last estimate, NaN where it has none, as that of a measured speed. They
+ * are multiplied by RHEC_INFLATION: 1, or for the estimator of a log the factor by which hidden
+ * positions showed that its own are too small. */
+void rhec_sigma(const struct rhec *r, double sigma[RHEC_ESTIMATE]);
+#endif
+
+#ifdef RHEC_HEADINGS
+/* Of the estimator of a log (search.h). rhec_move moves late measurements to the sample, by the
+ * motion from the last estimate, into rhec_moved, which rhec_estimate takes; it returns the square
+ * of the innovation of the position [m^2]. held: the newest number of each measurement. */
+double rhec_move(struct rhec *r, const double z[RHEC_OUTPUTS], const double held[RHEC_OUTPUTS],
+                 const double ages_s[RHEC_OUTPUTS]);
+const double *rhec_moved(const struct rhec *r);
+#endif
 #endif
 
 #ifdef RHEC_CONTROLLER

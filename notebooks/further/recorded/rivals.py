@@ -50,7 +50,6 @@ class Rival(NamedTuple):
 
     model: Model
     first: Callable  # (half the track width [m]) -> the parameters' first guess, its deviations
-    walks: Callable  # (walks of μ and κ, half the track width) -> those of the parameters
     traction: Callable  # (parameters (n, p)) -> (μ, κ)
 
 
@@ -65,28 +64,14 @@ RIVALS = {
     "EKF of (μ, κ)": Rival(
         SLIPPING.model,
         first=lambda half: ([0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.25, 0.25]),
-        walks=lambda walks, half: (0.0, 0.0, *walks),
         traction=lambda p: tuple(p.T[2:]),
     ),
     "EKF of ICR": Rival(
         dataclasses.replace(SLIPPING.model, parameters=dict.fromkeys(_OF_ICR), f=f),
         first=lambda half: ([half, -half, 0.0, 1.0, 1.0, half], [half, half, 0.1, 0.25, 0.25, 0.0]),
-        walks=lambda walks, half: (half * walks[1], half * walks[1], 0.0, walks[0], walks[0], 0.0),
         traction=_traction_of_icr,
     ),
 }
-
-
-def same_noise(rival, settings, half_m):
-    """The noise V, W and c of a rival that is that of the RHE's speed model "slipping".
-
-    Args:
-        rival: The Rival.
-        settings: V, W and c of the RHE, without other sensors.
-        half_m: Half the track width [m].
-    """
-    walks = rival.walks(np.sqrt(settings["W"][-2:]), half_m)
-    return dict(V=settings["V"], W=np.square([0.0, 0.0, 0.0, *walks]), c=settings["c"])
 
 
 def replay_of(rival, settings):

@@ -1,0 +1,107 @@
+"""How noisy the judged measurements are, as the judge learns it from the samples themselves.
+
+A receiver may become many times noisier than its `sigma_v` says, such as RTK that falls to float.
+Its samples are rejected then, and they scatter: their second differences
+
+    q = mean of (y_k - 2 y_{k-1} + y_{k-2})² / (6 S)  over the samples rejected in a row
+
+tell by how much their variance exceeds S. Above `scattered` no restart among them would be right,
+and there is no need to wait for one. The variances V of the judged outputs are multiplied by q
+instead, in the whole window. If the sample agrees with its prediction then, the window goes on with
+it; otherwise it restarts with this noise. The factor follows the second differences until it is 1
+again: innovations that are all alike are no noise, but an estimate that is off. At 1 it changes
+nothing.
+
+Where σ was said too small, or the model is coarse, good samples are rejected now and then. Once
+more than `many` of the last ones are, the gate's limit is multiplied by what the squares of the
+used samples are in the mean, until that is 1 again. Wild samples do not widen it: they are not
+used.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+
+SHAPES = dict.fromkeys(("spread", "line_spread", "noise_scale", "share", "width"), (1, 1))
+MAX_SCALE = 1e15
+
+
+class Tuned(NamedTuple):
+    """The numbers that were chosen, not derived, on the drives of `innovation_gate.Tuned`."""
+
+    # name: value  # [unit] meaning
+    scattered: float = 4.0  # [S] of second differences; of samples without a new noise 1
+    forgets: float = 0.1  # [1] weight of the newest sample in the gate's width
+    many: float = 0.05  # [1] share of rejected samples, above which the gate widens
+    widest: float = 25.0  # [limit] it becomes: good for σ that are five times too small
+    patience: int = 8  # [samples] rejected in a row, after which those that scatter are noisier
+
+
+TUNED = Tuned()
+
+
+def scale_of(memory):
+    """The factor of the variances of judged outputs; nothing remembered is 1."""
+    return ca.fmax(memory["noise_scale"], 1)
+
+
+def width_of(memory):
+    """The factor of the gate's limit: none beside one of the noise."""
+    return ca.if_else(memory["noise_scale"] > 1, 1, ca.fmax(memory["width"], 1))
+
+
+def square_of(memory, y, S):
+    """Of the second difference of innovations y, by what S lets expect: Σ (…)² / (6 S)."""
+    bend = y - 2 * memory["trail"][:, 0] + memory["trail"][:, 1]
+    return ca.sum1(bend**2 / (6 * ca.diag(S)))
+
+
+def spreads(memory, square, has_any, is_line):
+    """q with this sample's square: of those rejected in a row but two, and of those in line."""
+    n = memory["rejected"] - 1
+    mean = memory["spread"] + (square - memory["spread"]) / ca.fmax(n, 1)
+    in_line = memory["line_spread"] + (square - memory["line_spread"]) / (memory["in_line"] + 1)
+    return dict(
+        spread=ca.if_else((n > 0) * has_any, ca.fmin(mean, MAX_SCALE), memory["spread"]),
+        line_spread=is_line * in_line,
+    )
+
+
+def is_noisy(run, is_in_line):
+    """Whether the samples of a run scatter: those in line, if they are, or many of them."""
+    is_many = run["rejected"] >= TUNED.patience
+    spread = ca.if_else(is_in_line, run["line_spread"], is_many * run["spread"])
+    return spread > TUNED.scattered
+
+
+def followed(memory, square, is_used):
+    """Noise's factor and gate's width after a sample, by name.
+
+    Args:
+        memory: The memory before the sample.
+        square: Its second difference, as q.
+        is_used: Whether it has some and is used as it was measured.
+    """
+    scale = scale_of(memory)
+    # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean.
+    moved = ca.fmax(1, scale * ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))))
+    width = width_of(memory)
+    wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * square)
+    wider = ca.fmin(wider, TUNED.widest)
+    is_widening = is_used * ca.logic_or(width > 1, memory["share"] > TUNED.many)
+    scale = ca.if_else(is_used * (scale > 1), moved, scale)
+    width = ca.if_else(is_widening * (scale <= 1), wider, width)
+    return dict(noise_scale=scale, width=width)
+
+
+def share_after(memory, is_rejected, has_any, n):
+    """The share of rejected samples among about the last n that had outputs."""
+    return memory["share"] + has_any * (is_rejected - memory["share"]) / n
+
+
+def scaled(window, V, scale):
+    """The variances V (n_z,) of which those of the judged outputs are multiplied by the scale."""
+    factor = ca.DM.zeros(V.numel())
+    for output in window.judge.outputs(window):
+        factor[output.row] = 1
+    return V * (1 + factor * (scale - 1))

@@ -1,0 +1,250 @@
+"""What explains a log better than slip: faults of its columns, each tried by what it explains.
+
+A hypothesis undoes one fault of the encoders. It is named if the motion without the fault explains
+nearly all of the path's squares where the log as it is does not, so that a robot that only slips is
+never accused. `path_checks` says what is explained.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from rhec.logs.finding import refused
+from rhec.logs.path_checks import compare, tracks_of
+from rhec.logs.position_noise import position_sigma_m
+from rhec.simulation.columns import MEASUREMENTS
+
+_X, _Y, _NU, _OMEGA = MEASUREMENTS
+_LENGTHS_S = (0.6, 1.2, 2.4)  # of the intervals that are compared
+_GOOD = 0.9  # share of the squares that an explanation explains,
+_BETTER = 3.0  # and by how much smaller the share is that it leaves
+_EMPTY = 0.01  # range of a yaw rate that never changes [rad/s]
+_TURNS_RAD = 2.0  # range of the course that needs a yaw rate
+_VERTEX_M = 0.5  # between places of which a course is taken, and at least so many σ of these:
+_VERTEX_SIGMAS = 12.0
+_FORWARDS = 0.05  # of the largest speed: a speed never below minus this one has no sign
+_STANDS_S = 1.5  # about a cusp, within which the robot changes its direction
+_OUTLIER = 3.0  # times the farthest way by the encoders
+_ALONG_ONE_AXIS = 0.8  # mean length of (cos 2γ, sin 2γ) of a course γ that hardly varies
+
+
+class _Log(NamedTuple):
+    """What hypotheses are made of."""
+
+    rows: pd.DataFrame
+    width_m: float
+    columns: dict  # {name in the rows: column of the log}
+    kappa: float  # of the log as it is, at least 0
+
+
+class _Hypothesis(NamedTuple):
+    """A fault of the encoders."""
+
+    undone: Callable  # _Log -> rows without the fault, or None where it cannot be
+    fact: str  # with {speed}, {yaw_rate}
+    remedy: str
+
+
+def explained(rows):
+    """The slopes (μ, κ) of the path on the encoders and the share that both explain of the squares.
+
+    Of the lengths of intervals that counts which explains most. None for a short log.
+    """
+    tracks = tracks_of(rows)
+    if not tracks:
+        return None
+    best = None
+    for length_s in _LENGTHS_S:
+        found = compare(tracks, length_s, 0.0)
+        if found is None:
+            break
+        mu, kappa, unexplained = found
+        share = 1 - unexplained.sum() / 2
+        if best is None or share > best[2]:
+            best = mu, kappa, share
+    return best
+
+
+# The hypotheses
+
+
+def _one_side(sign):
+    """Undoes a left (1) or right (-1) encoder that counts backwards: ν and ω change places."""
+
+    def undone(log):
+        nu = log.rows[_NU]
+        half_m = log.width_m / 2
+        turned = {_NU: sign * half_m * log.rows[_OMEGA], _OMEGA: sign * nu / half_m}
+        return log.rows.assign(**turned)
+
+    return undone
+
+
+def _with_sign(log):
+    """The rows with a speed that changes its sign where the path turns back."""
+    nu = log.rows[_NU]
+    if not nu.min() >= -_FORWARDS * nu.max():
+        return None
+    cusps = _vertices(log).query("is_cusp")
+    if cusps.empty:
+        return None
+    t_s = log.rows["t_s"].to_numpy()
+    sign = np.ones(len(t_s))
+    for cusp_s in cusps["t_s"]:
+        near = (np.abs(t_s - cusp_s) < _STANDS_S) & nu.notna()
+        if near.any():  # the robot turns back where it is slowest
+            sign[t_s >= t_s[nu[near].idxmin()]] *= -1
+    return log.rows.assign(**{_NU: sign * nu})
+
+
+def _turn_with_sign(log):
+    """The rows with a yaw rate that has the sign by which the course turns."""
+    omega = log.rows[_OMEGA]
+    if not omega.min() >= -_FORWARDS * omega.max():
+        return None
+    vertices = _vertices(log)
+    if not (vertices["turn"] < 0).any():
+        return None
+    sign = np.sign(vertices["turn"].rolling(3, center=True, min_periods=1).sum())
+    at = np.interp(log.rows["t_s"], vertices["t_s"], sign.fillna(0.0))
+    return log.rows.assign(**{_OMEGA: np.sign(at) * omega})
+
+
+_HYPOTHESES = (
+    _Hypothesis(
+        _one_side(1.0),
+        "the left encoder may count backwards",
+        "Turn the sign of the left encoder where the log is written. The columns of speed and yaw "
+        "rate may also have been exchanged.",
+    ),
+    _Hypothesis(
+        _one_side(-1.0),
+        "the right encoder may count backwards",
+        "Turn the sign of the right encoder where the log is written.",
+    ),
+    _Hypothesis(
+        _with_sign,
+        "the log's {speed} has no sign: the robot drives backwards, too, and it is never negative",
+        "Log the signed speed, or give it the sign of the command.",
+    ),
+    _Hypothesis(
+        _turn_with_sign,
+        "the log's {yaw_rate} has no sign: the path turns to both sides, and it is never negative",
+        "Log the signed yaw rate, counter-clockwise.",
+    ),
+)
+
+
+# The path alone
+
+
+def _vertices(log):
+    """The corners of the path as a polygon, a DataFrame: segment, t_s, turn, is_cusp.
+
+    `turn` is that of the course at a corner [rad]. At a cusp the robot changes its direction: there
+    the course turns by half a turn more or less than the robot does by its encoders.
+    """
+    least_m = max(_VERTEX_M, _VERTEX_SIGMAS * position_sigma_m(log.rows))
+    parts = []
+    for track in tracks_of(log.rows):
+        kept = [0]
+        for k in range(1, len(track.t)):
+            if abs(track.position[k] - track.position[kept[-1]]) >= least_m:
+                kept.append(k)
+        t_s = track.t[kept]
+        step = np.diff(track.position[kept])
+        middle_s = (t_s[1:] + t_s[:-1]) / 2
+        turned = log.kappa * np.diff(np.interp(middle_s, track.t_encoders, track.turned))
+        turn = np.angle(step[1:] * step[:-1].conj())
+        is_cusp = np.cos(turn - turned) < 0
+        corners = dict(segment=len(parts), t_s=t_s[1:-1], turn=turn, is_cusp=is_cusp)
+        parts.append(pd.DataFrame(corners))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _never_turns(log):
+    """The Finding of a yaw rate that never changes while the path turns."""
+    omega = log.rows[_OMEGA].dropna()
+    if np.ptp(omega) > _EMPTY:
+        return None
+    vertices = _vertices(log)
+    course = vertices["turn"].where(~vertices["is_cusp"], 0.0).groupby(vertices["segment"]).cumsum()
+    turns_rad = float(course.groupby(vertices["segment"]).agg(np.ptp).max()) if len(course) else 0.0
+    if turns_rad < _TURNS_RAD:
+        return None
+    column = log.columns[_OMEGA]
+    return refused(
+        f"the log's {column} is {omega.median():.3g} in all rows, but the path turns by "
+        f"{turns_rad:.2g} rad: nothing fills this column",
+        "empty_yaw_rate",
+        f"Take {column} from another topic, or from the speeds of both tracks with their distance "
+        "(--track-width-m).",
+    )
+
+
+def _of_the_map(log):
+    """The Finding of a speed that is that along an axis of the map, not along the robot."""
+    parts = []
+    for track in tracks_of(log.rows):
+        at = np.arange(track.t[0], track.t[-1], _LENGTHS_S[1])
+        place = np.interp(at, track.t, track.position)
+        driven = np.interp(at, track.t_encoders, track.driven)
+        parts.append(np.column_stack([np.diff(place).real, np.diff(place).imag, np.diff(driven)]))
+    steps = np.concatenate(parts)
+    # Outliers go farther than the robot.
+    is_driven = np.hypot(steps[:, 0], steps[:, 1]) < _OUTLIER * np.abs(steps[:, 2]).max()
+    dx, dy, n = steps[is_driven].T
+    way = np.hypot(dx, dy)
+    course = np.angle(dx + 1j * dy)
+    if abs((way * np.exp(2j * course)).sum()) > _ALONG_ONE_AXIS * way.sum():
+        return None
+    squares = n @ n
+    b, left, *_ = np.linalg.lstsq(np.column_stack([dx, dy]), n)
+    # Of a speed ahead the way explains all, whatever the course is.
+    of_way = 1 - (np.abs(n) @ way) ** 2 / (squares * (way @ way))
+    if not len(left) or left[0] > min((1 - _GOOD) * squares, of_way * squares / _BETTER):
+        return None
+    return refused(
+        f"the log's {log.columns[_NU]} is the speed along a fixed direction of the map, "
+        f"{np.angle(b[0] + 1j * b[1]):.2g} rad from the x axis, not the speed ahead",
+        "twist_of_the_map",
+        "Log the twist in the frame of the robot (its child_frame_id), or turn it by the yaw.",
+    )
+
+
+def find(recording):
+    """The Findings of the fault that explains a Recording, of which there is at most one."""
+    with np.errstate(all="ignore"):
+        as_it_is = explained(recording.rows)
+        if as_it_is is None:
+            return
+        kappa = max(as_it_is[1].value, 0.0)
+        log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)
+        found = _never_turns(log) or _found(log, as_it_is[2])
+    if found:
+        yield found
+
+
+def _found(log, share):
+    """The Finding of the fault that explains a log, of which now `share` is explained; or None."""
+    least = max(_GOOD, 1 - (1 - share) / _BETTER)
+    if of_the_map := _of_the_map(log):
+        return of_the_map
+    best = None
+    for hypothesis in _HYPOTHESES:
+        rows = hypothesis.undone(log)
+        tried = None if rows is None else explained(rows)
+        if tried and tried[1].value > 0 and tried[2] > (best[0] if best else least):
+            best = tried[2], hypothesis
+    if best is None:
+        return None
+    explains, hypothesis = best
+    fact = hypothesis.fact.format(speed=log.columns[_NU], yaw_rate=log.columns[_OMEGA])
+    return refused(
+        f"{fact}: so the encoders explain {explains:.0%} of the path, and as they are "
+        f"{max(share, 0):.0%}",
+        "sign",
+        hypothesis.remedy,
+    )

@@ -1,0 +1,119 @@
+"""How well the RHE does on a log without truth: positions that are hidden, and a smoothed yaw.
+
+Positions are hidden from the estimator for HIDDEN_S at a time. Where it says too much of what it
+knows, its standard deviations are made larger by one factor (`inflation`), as Birge (1932) does
+with those of measurements that scatter more than they say.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from rhec import paper
+from rhec.logs.recording import moves
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
+
+HIDDEN_S = 10.0
+_EVERY_S = 30.0  # in which positions are hidden for HIDDEN_S
+_LEAST_AFTER_S = 5.0  # since the last position; a shorter time tests nothing
+_FROM_M = 8.0  # distance driven in a segment from which on the yaw has converged
+_COVERED = 0.95  # share of the errors that should be within
+_ANGLE = 1.96  # standard deviations of a yaw, or of
+_BOTH = 2.236  # both coordinates of a position
+
+
+def _settled(samples):
+    """Whether the robot moves and has driven far enough for a yaw, at each sample (n,)."""
+    step_m = paper.DT_S * samples[MEASUREMENTS[2]].abs().fillna(0.0)
+    driven_m = step_m.groupby(samples["segment"]).cumsum()
+    return moves(samples) & (driven_m > _FROM_M) & samples[ESTIMATE[2]].notna()
+
+
+def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
+    """Errors of an estimator at the last position of each stretch of hidden ones, a DataFrame.
+
+    The estimator runs for each part of _EVERY_S that may be hidden, so that all positions of a
+    segment but its first ones are hidden once.
+
+    Args:
+        recording: The Recording.
+        estimate: The estimator: a function from a Recording to its samples.
+        sigma_v: Standard deviations of the positions (x, y) themselves [m].
+
+    Returns:
+        after_s, time since the last position that was not hidden; error_m, distance from the hidden
+        one; and ratio, the larger error of x and y over its 95 % limit.
+    """
+    rows = recording.rows
+    first_s = rows.groupby("segment")["t_s"].first()
+    since_s = rows["t_s"] - rows["segment"].map(first_s)
+    shown = pd.concat(recording.samples(), ignore_index=True)[MEASUREMENTS[:2]].to_numpy()
+    tables = []
+    for begin_s in np.arange(0.0, _EVERY_S, HIDDEN_S):
+        is_hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
+        masked = rows.copy()
+        masked.loc[is_hidden, MEASUREMENTS[:2]] = np.nan
+        samples = estimate(recording._replace(rows=masked))
+        sample_s = samples["t_s"] - samples["segment"].map(first_s)
+        off = samples[ESTIMATE[:2]].to_numpy() - shown
+        limits = _BOTH * np.hypot(samples[SIGMA[:2]].to_numpy(), sigma_v[:2])
+        errors = pd.DataFrame(
+            dict(
+                segment=samples["segment"],
+                stretch=begin_s + (sample_s - begin_s) // _EVERY_S * _EVERY_S,
+                # The last position was measured one sample before the first that is hidden.
+                after_s=(sample_s - begin_s) % _EVERY_S + paper.DT_S,
+                error_m=np.hypot(*off.T),
+                ratio=(np.abs(off) / limits).max(axis=1),
+            )
+        )
+        counts = (sample_s > HIDDEN_S) & (errors["after_s"] < HIDDEN_S + paper.DT_S / 2)
+        tables.append(errors[counts & (errors["after_s"] >= _LEAST_AFTER_S)].dropna())
+    stretches = pd.concat(tables).groupby(["segment", "stretch"])
+    return stretches.last().reset_index(drop=True)
+
+
+def inflation(*ratios):
+    """The factor of at least 1 by which limits hold _COVERED of each series of ratios.
+
+    Args:
+        *ratios: Errors over their 95 % limits (n,); an empty series says nothing.
+    """
+    needed = [np.quantile(each, _COVERED, method="inverted_cdf") for each in ratios if len(each)]
+    return float(max(1.0, *needed)) if needed else 1.0
+
+
+class Judged(NamedTuple):
+    """What the RHE did on a log, as a robot would have run it on its way."""
+
+    samples: pd.DataFrame  # with standard deviations as the estimator says them
+    inflation: float  # by which these are too small
+    numbers: dict  # {name: number} of the page
+
+
+def judge(recording, estimate, smoothed, sigma_v):
+    """The Judged of an estimator on a log.
+
+    Args:
+        recording: The Recording.
+        estimate: The estimator, causal: a function from a Recording to its samples.
+        smoothed: Smoothed samples, whose yaw is the reference.
+        sigma_v: Standard deviations of the positions (x, y) [m].
+    """
+    samples = estimate(recording)
+    hidden = hidden_errors(recording, estimate, sigma_v)
+    counts = _settled(samples) & smoothed[ESTIMATE[2]].notna()
+    yaw = ESTIMATE[2]
+    apart = ((samples[yaw] - smoothed[yaw] + np.pi)[counts] % (2 * np.pi) - np.pi).abs()
+    ratio = apart / (_ANGLE * samples[SIGMA[2]][counts])
+    factor = inflation(hidden["ratio"], ratio)
+    numbers = dict(
+        hidden=len(hidden),
+        hidden_covered=int((hidden["ratio"] <= 1).sum()),
+        hidden_error_m=float(hidden["error_m"].median()) if len(hidden) else np.nan,
+        yaw_in_95=float((ratio <= 1).mean()),
+        yaw_sigma_rad=factor * float(samples[SIGMA[2]][counts].median()),
+        inflation=factor,
+    )
+    return Judged(samples, factor, numbers)

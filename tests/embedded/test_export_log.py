@@ -1,0 +1,92 @@
+"""The estimator that was judged on a log, as C: estimates and standard deviations are Python's."""
+
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import recorded_log
+
+import rhec
+from notebooks.further.c_code import toolchain
+from rhec.embedded.phases import operations
+from rhec.embedded.recorded import build_move, example_of
+from rhec.logs.recording import prepare
+from rhec.logs.replay import replay_of
+from rhec.simulation.columns import ESTIMATE, LEVER_ARM
+
+
+def compiled_replay(folder, program="replay_log", sources=("search.c",)):
+    """The program of an export, compiled with warnings as errors."""
+    machine = toolchain.this_machine()
+    if machine is None:
+        pytest.skip("there is no C compiler")
+    flags = "-std=c99 -O1 -ffp-contract=off -Wall -Wextra -Wpedantic -Werror".split()
+    names = ["rhec.c", "rhec_scenario.c", *sources, f"{program}.c"]
+    command = [machine.compiler, *flags, *names, "-lm", "-o", program]
+    subprocess.run(command, cwd=folder, check=True)
+    return folder / program
+
+
+def late_log():
+    """Positions between the samples, late by what varies, and some encoders that are missing."""
+    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=3, arm_m=(0.3, -0.1))
+    log.loc[log.index % 3 > 0, ["x_m", "y_m"]] = np.nan
+    log.loc[log.index % 37 < 6, ["speed_mps", "yaw_rate_radps"]] = np.nan
+    return log
+
+
+@pytest.fixture(scope="module")
+def summary():
+    return rhec.log(late_log())
+
+
+def test_the_c_of_a_log_is_what_was_judged(summary, tmp_path):
+    folder = rhec.export(summary, tmp_path / "C")
+    ended = subprocess.run(
+        [compiled_replay(folder), folder / "log.csv"], capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr[-200:]
+    example = pd.read_csv(folder / "log.csv")
+    assert f"in {len(example)} samples" in ended.stderr and len(example) > 250
+    # It is the run that was judged, with its standard deviations, from its first position on.
+    way = summary.way.dropna(subset=ESTIMATE[0])[-100:]
+    hats = [*ESTIMATE, *LEVER_ARM]
+    np.testing.assert_allclose(example[hats][-100:], way[hats], atol=1e-9)
+    sigma = ["sigma_x_m", "sigma_mu", "sigma_kappa", "sigma_arm_left_m"]
+    np.testing.assert_allclose(example[sigma][-100:], way[sigma], rtol=1e-9)
+    assert (folder / "README.txt").read_text().count("scalar operations") == 1
+
+
+def test_a_refused_log_has_nothing_to_export(tmp_path):
+    with pytest.raises(ValueError, match="the log has no estimator to export. No estimate: "):
+        rhec.export(rhec.log(late_log().assign(x_m=1.0, y_m=1.0)), tmp_path / "C")
+    assert not (tmp_path / "C").exists()
+
+
+def test_an_example_begins_at_the_first_position(summary):
+    log = late_log()
+    log.loc[:20, ["x_m", "y_m"]] = np.nan  # the first one is seconds after the first row
+    recording = prepare(log)
+    example = example_of(summary.judged._replace(recording=recording))
+    assert len(example) == len(recording.samples()[0]) - 11
+    assert example[["x_meas_m", "y_meas_m"]].iloc[0].notna().all()
+    assert (example["x_meas_m_age_s"] > 0).any()
+
+
+def test_operations_are_counted_through_all_calls(summary):
+    """Of a Function that calls another one they are those of both."""
+    move = build_move(replay_of(summary.judged.scenario).window)
+    inner = sum(operations(each) for each in move.find_functions(0))
+    assert operations(move) > inner > 50
+
+
+def test_an_estimator_alone_has_no_controller(tmp_path):
+    scenario = rhec.Scenario(duration_s=10)
+    folder = rhec.export(scenario, tmp_path / "C", estimator_only=True)
+    replay = compiled_replay(folder, "replay", ())
+    ended = subprocess.run([replay, folder / "log.csv"], capture_output=True, text=True)
+    assert ended.returncode == 0 and "in 50 samples" in ended.stderr
+    header = (folder / "rhec_memory.h").read_text()
+    assert "#define RHEC_CONTROLLER" not in header
+    assert "rhec_control" not in (folder / "README.txt").read_text()
