@@ -52,8 +52,8 @@ FIELDS = 2  # of each world
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
 _BLOCK = 256  # worlds in one file of build/inverse
 KEEP = 4200  # nearest simulations behind a posterior
-DRAWS = 240  # worlds in POSTERIOR_WORLDS
-COPIES = 32  # of the default world, and of the centre, in POSTERIOR_DRIVES
+DRAWS = 480  # worlds in POSTERIOR_WORLDS
+COPIES = 64  # of the default world, and of the centre, in POSTERIOR_DRIVES
 UNUSED_SEED = FIRST_SEED + 2**20  # no world of either round has these fields
 _OTHER_TIME = 2**24  # from the seed of the RHE's noise to that of the EKF's
 
@@ -788,7 +788,8 @@ def middle_worlds():
     """
     table = posterior_table()
     drive = table[["row_length_m", "headland_radius_m", "duration_s"]].median().round(1).to_dict()
-    drive["start_offset_m"] = float(table["start_offset_m"].abs().median().round(1))
+    drive |= dict(start_offset_m=float(table["start_offset_m"].abs().median().round(1)))
+    drive |= dict(turns="alternate", command_delay=0)
     free = {}
     for estimator in ("rhe", "ekf"):
         names = [name for name in NOT_OF_SCENARIO if name.startswith(f"sigma_{estimator}")]
