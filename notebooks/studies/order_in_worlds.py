@@ -292,7 +292,7 @@ def in_words(file=TABLE):
 
 # Which unknowns decide
 
-EFFECT_ROWS = 64  # of each of the two samples, a power of 2
+EFFECT_ROWS = 256  # of each of the two samples, a power of 2
 EFFECT_RULES = ("consistent", "prediction", "tracking")
 _EFFECT_SEED = UNUSED_SEED + 2**21
 _EFFECT_VARIANTS = {f"{e}_{rule}": Variant(e, rule) for rule in EFFECT_RULES for e in ESTIMATORS}
