@@ -12,7 +12,7 @@ import pandas as pd
 
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
-from notebooks.further import traction_map
+from notebooks.further import unknowns
 from notebooks.studies import answer
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
@@ -42,7 +42,7 @@ BLOCKS = {
     "sentences": lambda: answer.to_markdown(answer.sentences()),
     "changes": lambda: answer.to_markdown(summary.changes(_table("claims"), CLAIMS)),
     "counted": _n_claims,
-    "worth": lambda: traction_map.rule_in_words(_table("table_traction_map", dtype=dict(told=str))),
+    "worth": unknowns.in_words,
 }
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 

@@ -406,7 +406,7 @@ def _means(table, run):
 
 
 @styled
-def violations(table, turns="alternate"):
+def violations(table, turns="alternate", world="default"):
     """Draw Figure 9: the share of drives without a violation, by raw GNSS.
 
     A drive has none if no sample on a straight is more than 0.12 m from the path. The paper's RHE
@@ -416,6 +416,7 @@ def violations(table, turns="alternate"):
     Args:
         table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
         turns: The pattern of turns that is shown.
+        world: Name of the world, for the title.
     """
     shown = table[(table["turns"] == turns) & table["estimator"].isin(["RHE", "EKF"])]
     by_quantity = {
@@ -438,8 +439,8 @@ def violations(table, turns="alternate"):
     words = f"drives without a violation [%]: share of {shares['n'].max()} fields, 95 % interval"
     parts.rows_axis(axes, labels, words)
     axes.set_xlim(0, 100)
-    where = f"{parts.turns_text(turns)}; at the right the mean number of violations"
-    axes.set_title(where[0].upper() + where[1:])
+    where = f"{world} world, {parts.turns_text(turns)}"
+    axes.set_title(f"{where[0].upper()}{where[1:]}; at the right the mean number of violations")
     handles, names = axes.get_legend_handles_labels()
     figure.legend(handles[:1], names[:1], loc="outside lower center")
     return figure
