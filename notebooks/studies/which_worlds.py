@@ -780,24 +780,39 @@ def beside_the_default(seed=0):
 
 
 def middle_worlds():
-    """Two worlds with a drive of median rows, headlands, start and length, turning to both sides.
+    """Two worlds with a drive of the posterior's medians, turning to alternate sides.
+
+    The medians are those of the length of a row and of the whole drive, of the offset at the start,
+    and of the share of the yaw rate's bound that a headland demands, so that each world has
+    headlands for its own speed.
 
     Returns:
         {"default": fields, "centre": fields}: the world of Scenario and `centre`, with the medians
         of the free W.
     """
     table = posterior_table()
-    drive = table[["row_length_m", "headland_radius_m", "duration_s"]].median().round(1).to_dict()
-    drive |= dict(start_offset_m=float(table["start_offset_m"].abs().median().round(1)))
-    drive |= dict(turns="alternate", command_delay=0)
-    free = {}
+    pace_mps = table["mu_mean"] * table["speed_mps"]
+    tightest_m = pace_mps / (table["kappa_mean"] * paper.OMEGA_MAX_RADPS)
+    demand = (tightest_m / table["headland_radius_m"]).median()
+    driven_m = (pace_mps * table["duration_s"]).median()
+    drive = dict(turns="alternate", command_delay=0)
+    for name in ("row_length_m", "start_offset_m"):
+        drive[name] = float(table[name].abs().median().round(1))
     for estimator in ("rhe", "ekf"):
         names = [name for name in NOT_OF_SCENARIO if name.startswith(f"sigma_{estimator}")]
         of_free = table[table[f"w_{estimator}"] == "free"]
-        free |= of_free[names].median().round(4).to_dict()
-    of_world = centre()
-    default = {name: getattr(Scenario(), name) for name in of_world}
-    return {name: of | drive | free for name, of in dict(default=default, centre=of_world).items()}
+        drive |= of_free[names].median().round(4).to_dict()
+    found = {}
+    middle = centre()
+    default = {name: getattr(Scenario(), name) for name in middle}
+    for name, of in dict(default=default, centre=middle).items():
+        pace = of["mu_mean"] * of["speed_mps"]
+        radius_m = pace / (of["kappa_mean"] * paper.OMEGA_MAX_RADPS * demand)
+        length = dict(
+            headland_radius_m=float(radius_m), duration_s=round(float(driven_m / pace), 1)
+        )
+        found[name] = of | drive | length
+    return found
 
 
 def drive_posterior():
