@@ -12,7 +12,7 @@ import pandas as pd
 
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
-from notebooks.further import consistency, traction_map
+from notebooks.further import consistency, unknowns
 from notebooks.studies import answer, calibration
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
@@ -50,7 +50,7 @@ BLOCKS = {
     "counted": _n_claims,
     "noises": lambda: answer.to_markdown(calibration.readable_noises()),
     "consistency": _consistency,
-    "worth": lambda: traction_map.rule_in_words(_table("table_traction_map", dtype=dict(told=str))),
+    "worth": unknowns.in_words,
 }
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 

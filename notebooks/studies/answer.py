@@ -379,7 +379,8 @@ def _says_order(patterns):
         f"where the path turns {_TURNS[turns]} with W {' or '.join(rules)}"
         for turns, rules in others.items()
     ]
-    text = f"the RHE is better than the EKF in {better} of {len(orders)} cases of rule and turns"
+    cases = f"{len(orders)} cases of rule and turns (those in which the EKF is not lost)"
+    text = f"the RHE is better than the EKF in {better} of {cases}"
     return f"{text}, but not {_listed(where)}" if len(where) <= _FEW else text
 
 

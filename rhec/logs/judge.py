@@ -77,10 +77,13 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
 def inflation(*ratios):
     """The factor of at least 1 by which limits hold _COVERED of each series of ratios.
 
+    Of n errors that is the nearest whole number, about the median of what right limits hold: of 18
+    they hold 17, and one far outside tells nothing.
+
     Args:
         *ratios: Errors over their 95 % limits (n,); an empty series says nothing.
     """
-    needed = [np.quantile(each, _COVERED, method="inverted_cdf") for each in ratios if len(each)]
+    needed = [np.sort(each)[round(_COVERED * len(each)) - 1] for each in ratios if len(each)]
     return float(max(1.0, *needed)) if needed else 1.0
 
 

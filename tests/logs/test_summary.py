@@ -295,6 +295,7 @@ def test_the_factor_covers_what_is_too_often_outside():
     assert inflation(ratios) == pytest.approx(2, rel=0.05)
     assert inflation(ratios / 2 * 0.9) == 1 and inflation([]) == 1
     assert inflation(ratios / 4, [0.5, 1.5, 3.0]) == 3  # the larger one counts
+    assert inflation([*np.full(17, 0.5), 9.0]) == 1  # of 18, one may be outside
 
 
 def test_hidden_positions_show_how_far_off_an_estimate_is():
