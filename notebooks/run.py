@@ -110,7 +110,9 @@ def _tell_changed(namespace):
     folder = style.set_changed(notebook, changed)
     if changed:
         given = ", ".join(f"{name} = {value}" for name, value in changed.items())
-        print(f"With {given}: figures and tables go to {folder}")
+        # No page of a site should show where its checkout stands.
+        shown = folder.relative_to(ROOT) if folder.is_relative_to(ROOT) else folder
+        print(f"With {given}: figures and tables go to {shown}")
 
 
 def _own_parameters(sources):

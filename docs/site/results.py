@@ -12,13 +12,13 @@ import pandas as pd
 
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
-from notebooks.further import unknowns
-from notebooks.studies import answer
+from notebooks.further import consistency, unknowns
+from notebooks.studies import answer, calibration
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/results.md", "docs/claims.md")
+PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/interpretations.md")
 
 
 def _table(name, **options):
@@ -32,6 +32,12 @@ def _n_claims():
     )
 
 
+def _consistency():
+    table = _table("table_consistency")
+    verdicts = answer.to_markdown(consistency.readable_verdicts(table))
+    return f"{verdicts}\n\n{consistency.in_words(table)}"
+
+
 BLOCKS = {
     "answer": lambda: answer.first_screen(),
     "bar": lambda: answer.bar(),
@@ -42,6 +48,8 @@ BLOCKS = {
     "sentences": lambda: answer.to_markdown(answer.sentences()),
     "changes": lambda: answer.to_markdown(summary.changes(_table("claims"), CLAIMS)),
     "counted": _n_claims,
+    "noises": lambda: answer.to_markdown(calibration.readable_noises()),
+    "consistency": _consistency,
     "worth": unknowns.in_words,
 }
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)

@@ -223,15 +223,32 @@ def _outside(rows):
     return words
 
 
-def in_words(table, names=("RHE, consistent", "EKF, consistent")):
-    """One sentence on each of these estimators of the table of `consistency_table`."""
+def in_words(table, rule="consistent"):
+    """One sentence on RHE and EKF by a rule, from the table of `consistency_table`."""
     found = verdicts(table).set_index("estimator")
-    parts = [
-        f"{interval_text(*row[['nees', 'low', 'high']])} for the {name}, which is {row['verdict']}"
-        for name, row in found.reindex([name for name in names if name in found.index]).iterrows()
-    ]
-    fields = found["n"].iloc[0]
-    return f"On {fields} fields NEES by its degrees of freedom is {' and '.join(parts)}."
+    numbers = []
+    words = []
+    for name in ("RHE", "EKF"):
+        row = found.loc[f"{name}, {rule}"]
+        numbers.append(f"{interval_text(row['nees'], row['low'], row['high'])} for the {name}")
+        words.append(f"the {name} is {row['verdict']}")
+    return (
+        f'By the rule "{rule}" NEES by its degrees of freedom is {" and ".join(numbers)}, on '
+        f"{row['n']} fields that no rule has seen: {', '.join(words)}."
+    )
+
+
+def readable_verdicts(table):
+    """The `verdicts` for readers: NEES by its degrees of freedom and its interval, and the word."""
+    found = verdicts(table)
+    texts = [interval_text(*row) for row in found[["nees", "low", "high"]].itertuples(index=False)]
+    return pd.DataFrame(
+        {
+            "estimator, rule": found["estimator"],
+            "NEES by its degrees of freedom": texts,
+            "errors as large as it says": found["verdict"],
+        }
+    )
 
 
 def readable_consistency(table):

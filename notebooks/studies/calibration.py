@@ -19,7 +19,8 @@ evaluations for each unknown. Each rule sets W and V, as far as the estimator us
     python -m notebooks.studies.calibration                             makes the whole table
     python -m notebooks.studies.calibration rhe ekf --rules prediction  makes these rows again
 
-Rows are written as they are found, so what was interrupted goes on with the rows that are left.
+Rows are written as they are found, so what was interrupted goes on with the rows that are left. The
+search begins at the row that the table has, too: another run of the same world finds no worse one.
 """
 
 import argparse
@@ -31,6 +32,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from notebooks.further import consistency
 from notebooks.rivals import RIVALS, noises
@@ -54,8 +56,8 @@ _MEMBERS = 5  # of differential evolution
 _GENERATIONS = 12
 EVALUATIONS = 60  # of each of these, as their own limits count them
 _DOWNHILL = {  # {method of scipy.optimize.minimize: options}
+    "COBYQA": dict(initial_tr_radius=1.0, final_tr_radius=0.003),
     "Powell": dict(xtol=0.01, ftol=1e-6),
-    "COBYQA": dict(initial_tr_radius=1.0, final_tr_radius=0.01),
 }
 _DIVERGED = 1e12  # an objective that is no number
 # The search works on one vector, sigma = (*sigma_v, *sigma_w); an unknown sets some places of it.
@@ -193,23 +195,31 @@ def calibrate(estimator, rule="prediction", **world):
         tried.append((value if np.isfinite(value) else _DIVERGED, sigma))
         return tried[-1][0]
 
-    search(evaluate, tuned.unknowns)
+    search(evaluate, tuned.unknowns, _known(estimator, rule))
     least, best = min(tried)
     row = dict(estimator=estimator, process_noise=rule) | noise_of(best)
     seeds = f"{SEEDS[rule][0]}-{SEEDS[rule][-1]}"
     return row | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
 
 
-def search(objective, unknowns):
-    """Evaluate an objective down to one of its low minima.
+def _known(estimator, rule):
+    """(*sigma_v, *sigma_w) of the row that the table has now, or None."""
+    row = read_rows(file_of(estimator)).get((estimator, rule))
+    return row and tuple(map(float, f"{row['sigma_v']} {row['sigma_w']}".split()))
 
-    Of its many minima differential evolution finds a good one. Powell's method goes on from there,
-    which reaches bounds, and COBYQA, which models the objective by a quadratic, because valleys are
-    curved: an estimator uses V and W nearly by their ratio alone. All work on logarithms.
+
+def search(objective, unknowns, known=None):
+    """Evaluate an objective down to its low minima.
+
+    Of its many minima differential evolution finds a good one. COBYQA goes on from there, which
+    models the objective by a quadratic: valleys are curved, because an estimator uses V and W
+    nearly by their ratio alone. Powell's method then reaches the bounds. The same is done from a
+    sigma that is known. All work on logarithms.
 
     Args:
         objective: Function of sigma, a tuple.
         unknowns: For each unknown the places in sigma that it sets; other places are LEAST.
+        known: A good sigma, if there is one.
     """
     from scipy.optimize import differential_evolution, minimize  # 0.2 s, and few ever search
 
@@ -228,10 +238,14 @@ def search(objective, unknowns):
         seed=0,
         polish=False,
     )
-    most = EVALUATIONS * len(unknowns)
-    for method, options in _DOWNHILL.items():
-        options = options | dict(maxfev=most)
-        found = minimize(evaluate, found.x, method=method, bounds=bounds, options=options)
+    starts = [found.x]
+    if known:
+        logarithms = np.log([known[places[0]] for places in unknowns])
+        starts.append(np.clip(logarithms, *bounds[0]))
+    for best in starts:
+        for method, options in _DOWNHILL.items():
+            options = options | dict(maxfev=EVALUATIONS * len(unknowns))
+            best = minimize(evaluate, best, method=method, bounds=bounds, options=options).x
 
 
 def _sigma_of(logarithms, unknowns):
@@ -266,6 +280,20 @@ def write_rows(file, rows):
 def file_of(name):
     """The tuned.csv that has an estimator: that of the rivals, or that of rhec."""
     return noises.FILE if name in RIVALS else tuning.FILE
+
+
+def readable_noises(names=("rhe", "ekf")):
+    """W and V of estimators by each of their rules, for readers; see `tuning.Noise`."""
+    rows = []
+    for name in names:
+        for rule, noise in tuning.NOISES[name].items():
+            x, _, *others = noise.sigma_w
+            x_measured, _, *others_measured = noise.sigma_v
+            cells = [" ".join(f"{value:g}" for value in (x, *others))]
+            cells.append(" ".join(f"{value:g}" for value in (x_measured, *others_measured)))
+            rows.append((name, rule, *cells))
+    columns = ["estimator", "rule", "W: x and y, θ, ν, μ, κ", "V: x and y, ν, ω"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def make_table(names, rules, jobs, file_of=file_of):

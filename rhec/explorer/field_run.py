@@ -6,13 +6,13 @@ from scipy.ndimage import median_filter
 from rhec import paper
 from rhec.explorer.controls import ESTIMATORS
 from rhec.explorer.panels import Mark, Panel, Picture, figure_of
-from rhec.style import BLACK, COLOURS, GREY, ORANGE, PURPLE
+from rhec.style import BLACK, COLOURS, GREY, ORANGE
 
 ZOOMS = ("whole path", "first row", "worst place")
 DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 
-_COLOURS = COLOURS | {"traction oracle": PURPLE, "yaw-drift EKF": ORANGE}
+_COLOURS = COLOURS | {"bounded EKF": ORANGE}
 # Names of the panels in the rows and columns of the picture.
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
 _MOST_POINTS = 300  # largest number of points of the soil along one side

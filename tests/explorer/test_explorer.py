@@ -37,7 +37,7 @@ def test_its_lists_show_what_drives():
     start = rhec.Scenario(estimator="oracle", duration_s=20.0)
     made = rhec.Explorer(start, against="bounded_ekf")
     lists = (made.estimator, made.against, made.process_noise)
-    assert [each.label for each in lists] == ["oracle", "bounded_ekf", "prediction"]
+    assert [each.label for each in lists] == ["oracle", "bounded EKF", "prediction"]
     assert [run.scenario.estimator for run in made.runs] == ["oracle", "bounded_ekf"]
 
 

@@ -160,9 +160,14 @@ def test_the_verdict_is_that_of_the_whole_interval(nees, state, verdict):
     assert (row.nees, row.low, row.high) == nees
 
 
-def test_the_sentence_says_whether_an_estimator_is_consistent():
-    said = consistency.in_words(tables((1.62, 1.43, 1.8), (1.0, 0.9, 1.1)))
+def test_the_sentence_says_of_both_whether_they_are_consistent():
+    rhe = tables((1.62, 1.43, 1.8), (1.0, 0.9, 1.1))
+    ekf = tables((1.1, 1.0, 1.2), (1.0, 0.9, 1.1)).assign(estimator="EKF, consistent")
+    said = consistency.in_words(pd.concat([rhe, ekf]))
     assert said == (
-        "On 60 fields NEES by its degrees of freedom is 1.62 [1.43, 1.80] for the RHE, consistent, "
-        "which is too sure."
+        'By the rule "consistent" NEES by its degrees of freedom is 1.62 [1.43, 1.80] for the RHE '
+        "and 1.10 [1.00, 1.20] for the EKF, on 60 fields that no rule has seen: the RHE is too "
+        "sure, the EKF is consistent."
     )
+    shown = consistency.readable_verdicts(rhe)
+    assert shown.iloc[0].tolist() == ["RHE, consistent", "1.62 [1.43, 1.80]", "too sure"]
