@@ -28,7 +28,7 @@ from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
-_RULES = tuning.RULES[:4]  # all but the one for recorded robots
+_RULES = tuning.RULES_IN_DEFAULT_WORLD
 ESTIMATORS = {  # fields of Scenario
     f"{estimator.upper()}, {rule}": dict(estimator=estimator, process_noise=rule)
     for estimator in ("ekf", "rhe")

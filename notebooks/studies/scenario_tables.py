@@ -26,10 +26,11 @@ from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.simulation.worlds import WORLDS
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.path import Turns
 
 # W by each rule, the same for RHE and EKF.
-PROCESS_NOISES = ("printed", "consistent", "prediction", "tracking")
+PROCESS_NOISES = tuning.RULES_IN_DEFAULT_WORLD
 TURNS = get_args(Turns)
 REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "mean_error_m"): paper.MEAN_ERROR_RHE_M,

@@ -72,7 +72,7 @@ def _fault(duration_s, **settings):
 
 # {name in Scenario: label}
 ESTIMATORS = {"rhe": "RHE", "ekf": "EKF", "bounded_ekf": "bounded EKF", "oracle": "oracle"}
-RULES = ("printed", "consistent", "prediction", "tracking")
+RULES = tuning.RULES_IN_DEFAULT_WORLD
 PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")

@@ -25,6 +25,7 @@ from rhec import paper
 
 FILE = Path(__file__).with_name("tuned.csv")
 RULES = ("printed", "consistent", "prediction", "tracking", "soft_soil")
+RULES_IN_DEFAULT_WORLD = RULES[:4]  # all but the one for recorded robots
 DEFAULT_RULE = "prediction"  # of every estimator: the one that needs no truth
 
 
