@@ -37,6 +37,7 @@ from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot import plant, terrain, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.sensors import SENSORS
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
 __all__ += ["TURNS", "affine_memory", "fields_of_turns", "functions_of", "seed_data", "write"]
@@ -56,7 +57,7 @@ TURNS = dict(CONTROLS["turns"].options)  # {label: value in Scenario}
 FAULTS = {  # the page's robots have GNSS and encoders alone
     name: of
     for name, of in CONTROLS["faults"].options
-    if of and not any(fault.channel in faults.SENSOR_CHANNELS for fault in of)
+    if of and not any(fault.channel in SENSORS for fault in of)
 }
 _ANY_FAULT = next(iter(FAULTS.values()))
 # The compiled modules: parameters of Scenario that decide the structure of the loop.

@@ -23,7 +23,7 @@ from rhec.core.estimator.rhe import RHE
 from rhec.embedded import c_writer, phases, recorded
 from rhec.files import UNFINISHED, replacing
 from rhec.logs.summary import Summary
-from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
+from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.estimators import NAMES, estimator_of
@@ -141,8 +141,7 @@ def _of_log(judged):
 
 def log_columns(scenario):
     """Columns of the example log of a scenario: LOG, with its sensors after the encoders."""
-    of_sensors = [SENSORS[name] for name in SENSORS if name in scenario.sensors]
-    return [*MEASUREMENTS, *of_sensors, *ESTIMATE, *COMMAND]
+    return [*measured_of(scenario.sensors), *ESTIMATE, *COMMAND]
 
 
 def _common_files(*programs):

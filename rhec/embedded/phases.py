@@ -32,7 +32,7 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.rhc import stages_of
 from rhec.tracked_robot.rhe import init as window_init_by_name
-from rhec.tracked_robot.sensors import OUTPUTS
+from rhec.tracked_robot.sensors import records
 
 # The entries of a measurement z of the paper's robot; those of other sensors follow.
 MEASURED = "x", "y", "nu", "omega"
@@ -196,7 +196,7 @@ def export_recorded(recorded):
 
 def _measured(scenario):
     """Return the names of the entries of z: MEASURED, then those of the sensors."""
-    return (*MEASURED, *(OUTPUTS[name] for name in OUTPUTS if name in scenario.sensors))
+    return (*MEASURED, *(sensor.output for sensor in records(scenario.sensors)))
 
 
 def _macros_on_a_path(scenario, dt_s, rejected):

@@ -5,16 +5,18 @@ Groups, units, tooltips and choices come from `scenario_fields`; a control adds 
 the range of a slider.
 """
 
+import itertools
 import math
 from typing import NamedTuple
 
-from rhec.simulation.faults import SENSOR_CHANNELS, Fault
+from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import fields_of
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.sensors import SENSORS
 
 _FIELDS = fields_of(Scenario)
 
@@ -93,9 +95,12 @@ _FAULTS = (
 )
 _SENSORS = (
     ("none", ()),
-    ("a gyro", ("gyro",)),
-    ("a heading", ("heading",)),
-    ("gyro and heading", ("gyro", "heading")),
+    *((f"a {name}", (name,)) for name in SENSORS),
+    *(
+        (" and ".join(several), several)
+        for n in range(2, len(SENSORS) + 1)
+        for several in itertools.combinations(SENSORS, n)
+    ),
 )
 _CONTROLS = (
     _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
@@ -136,10 +141,7 @@ _CONTROLS = (
     _slider("rut_length_m", "ruts over", 0, 3, 0.1),
     _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
     Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
-    _slider("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
-    _slider("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
-    _slider("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
-    _slider("heading_sigma_rad", "heading noise", 0, 0.2, 0.005),
+    *(_slider(*setting) for sensor in SENSORS.values() for setting in sensor.settings.values()),
     Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
 )
 CONTROLS = {control.key: control for control in _CONTROLS}
@@ -214,7 +216,7 @@ def scenario_of(values, estimator, start):
     settings["sensors"] = settings["sensors"] if is_rhe else ()
     takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
     settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
-    absent = {*SENSOR_CHANNELS} - {*settings["sensors"]}
+    absent = {*SENSORS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     rule = settings["process_noise"]
     # What is as at the start, or the default, keeps its words there: the printed line stays short.

@@ -25,9 +25,9 @@ from rhec.explorer.panels import packed
 from rhec.explorer.screen import CSS, Screen
 from rhec.files import replacing
 from rhec.simulation import closed_loop
-from rhec.simulation.faults import SENSOR_CHANNELS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.sensors import SENSORS
 from rhec.tracked_robot.tuning import Noise
 
 if TYPE_CHECKING:  # the browser draws the screen, so Matplotlib waits until a figure is asked for
@@ -347,12 +347,12 @@ class Explorer(widgets.VBox):
                     self.is_paused = False
 
     def _fold_sensors(self):
-        """Hide the sliders of a gyro or a heading that the robot does not have."""
+        """Hide the sliders of sensors that the robot does not have."""
         used = self.inputs["sensors"].value
-        for key, widget in self.inputs.items():
-            sensor = key.partition("_")[0] if isinstance(key, str) else ""
-            if sensor in SENSOR_CHANNELS:
-                widget.layout.display = None if sensor in used else "none"
+        for name, sensor in SENSORS.items():
+            for setting in sensor.settings.values():
+                widget = self.inputs[setting.parameter]
+                widget.layout.display = None if name in used else "none"
 
     def _show_status(self, message, kind=""):
         self.screen.status = message

@@ -26,18 +26,13 @@ from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import Recording, delayed, prepare, travelled, with_ages
-from rhec.logs.replay import (
-    InitialGuess,
-    estimate_samples,
-    measured_of,
-    refuse_with_model,
-    replay_scenario,
-)
-from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
+from rhec.logs.replay import InitialGuess, estimate_samples, refuse_with_model, replay_scenario
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, tuning
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.slipping import LEVER_ARM
+from rhec.tracked_robot.speed_models import speed_model_of
 
 # Huber's loss sees less of a normal distribution's tails, so that the deviation of positions comes
 # out too small, by this factor r: E[min(u², OUTLIER u)] = 2 with u = w/r and w² of chi-squared
@@ -51,9 +46,9 @@ _HUBER_SHRINKS = 0.8459
 _CORRELATED = 1.75
 # First guess and standard deviations before the first sample, by name. What is not named is 0, and
 # a last input, which is unknown.
-_FIRST = dict(mu=1.0, kappa=1.0) | sensors.GYRO_GUESS
+_FIRST = dict(mu=1.0, kappa=1.0) | sensors.GUESS
 _SIGMA_FIRST = dict(x_m=0.05, y_m=0.05, theta_rad=0.1, arm_forward_m=0.3, arm_left_m=0.3)
-_SIGMA_FIRST |= dict(mu=0.25, kappa=0.25, gyro_bias_radps=0.05, gyro_scale=0.03)
+_SIGMA_FIRST |= dict(mu=0.25, kappa=0.25) | sensors.SIGMA_GUESS
 _SIGMA_INPUT = 10.0
 _SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
@@ -72,7 +67,8 @@ _SMALL_DELAY_S = 0.1  # a smaller one changes no fit
 _LATE_S = 0.1  # a larger one is worth a remark
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
-_FIELDS = ("sigma_v", "sigma_w", "slip", "sigma_gyro", "sigma_heading")
+_OF_SENSORS = tuple(sensor.sigma for sensor in sensors.SENSORS.values())
+_FIELDS = ("sigma_v", "sigma_w", "slip", *_OF_SENSORS)
 # The arguments of a replay that say how a log is read, and where the antenna is.
 LOG_ARGUMENTS = ("track_width_m", "position_delay_s", "trust_log", "lever_arm_m")
 # Hidden positions compare a calibration with the defaults; fewer tell nothing.
@@ -98,13 +94,6 @@ _UNKNOWNS = (
     Unknown("slip sideways, share of bω", "-", 0.06, _NARROW),
     Unknown("bumps", "rad/√m", 0.02, _NARROW),
     Unknown("side slip", "s", 0.05, 0.05, is_scale=False),
-)
-_UNKNOWNS_OF_SENSORS = dict(
-    gyro=(
-        Unknown("noise of the gyro", "rad/s", 0.02, _BROAD),
-        Unknown("noise of the gyro, share of ω", "-", 0.05, _BROAD),
-    ),
-    heading=(Unknown("noise of the heading", "rad", 0.03, _BROAD),),
 )
 
 
@@ -257,16 +246,24 @@ def _fields(values, robot):
         sigma_w=tuple(itertools.islice(values, 2)),
         slip=tuple(itertools.islice(values, len(tuning.SLIP))),
     )
-    if "gyro" in robot.sensors:
-        fields["sigma_gyro"] = tuple(itertools.islice(values, 2))
-    if "heading" in robot.sensors:
-        fields["sigma_heading"] = next(values)
+    for sensor in sensors.records(robot.sensors):
+        found = tuple(itertools.islice(values, len(sensor.noise)))
+        fields[sensor.sigma] = found if len(found) > 1 else found[0]
     return fields
+
+
+def _unknowns_of_sensors(names):
+    """The Unknowns of the noise of these sensors."""
+    return [
+        Unknown(f"noise of the {sensor.name}{of.label}", of.unit, of.default, _BROAD)
+        for sensor in sensors.records(names)
+        for of in sensor.noise
+    ]
 
 
 def _likelihood(segments, yaws, robot):
     """The Likelihood of segments that begin with these yaws."""
-    model = sensors.speed_model_of("slipping", robot.sensors).model
+    model = speed_model_of("slipping", robot.sensors).model
     sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
     firsts = []
     for z, yaw_rad in zip(segments, yaws):
@@ -284,12 +281,11 @@ def _likelihood(segments, yaws, robot):
         )
         return estimator_of("rhe").settings(scenario)
 
-    of_sensors = [unknown for name in robot.sensors for unknown in _UNKNOWNS_OF_SENSORS[name]]
     return Likelihood(
         model=model,
         dt_s=paper.DT_S,
         loss=Loss.HUBER,
-        unknowns=(*_UNKNOWNS, *of_sensors),
+        unknowns=(*_UNKNOWNS, *_unknowns_of_sensors(robot.sensors)),
         settings_of=settings_of,
         segments=segments,
         firsts=firsts,
@@ -378,25 +374,26 @@ def _calibration(fit, robot):
         for name, place, is_determined in zip(("antenna ahead", "antenna left"), arm, is_known)
     ]
     fields = _fields(fit.likelihood.values(fit.x), robot)
-    result = Calibration(_widened(fields, robot.sensors), pd.concat([report, *antenna]))
+    result = Calibration(_widened(fields, bool(robot.sensors)), pd.concat([report, *antenna]))
     if all(is_known):
         result["lever_arm_m"] = tuple(float(place) for place, _ in arm)
     return result
 
 
-def _widened(fields, names):
+def _widened(fields, has_sensors):
     """The fields with larger standard deviations of errors that are correlated."""
 
     def wider(values):
         return tuple(_CORRELATED * value for value in values)
 
-    if not names:
+    if not has_sensors:
         return fields | dict(sigma_v=(*wider(fields["sigma_v"][:2]), *fields["sigma_v"][2:]))
+    result = {
+        name: wider(values) if isinstance(values, tuple) else _CORRELATED * values
+        for name, values in fields.items()
+    }
     # The last constant of the slip is that of a mean.
-    result = {name: wider(values) for name, values in fields.items() if name != "sigma_heading"}
     result["slip"] = (*result["slip"][:-1], fields["slip"][-1])
-    if "heading" in names:
-        result["sigma_heading"] = _CORRELATED * fields["sigma_heading"]
     return result
 
 

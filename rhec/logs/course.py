@@ -23,7 +23,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import ESTIMATE, GYRO, GYRO_ACCEPTED, LEVER_ARM, MEASUREMENTS, SENSORS
+from rhec.simulation.columns import ACCEPTED, ESTIMATE, LEVER_ARM, MEASUREMENTS
+from rhec.tracked_robot.sensors import GYRO
 
 SIGMA_BY_COURSE = "sigma_by_course_rad"  # of a sample: what its yaw's σ has by the course
 _SPEEDS = MEASUREMENTS[2:]
@@ -54,10 +55,12 @@ TUNED = Tuned()
 def _turned(samples):
     """How far the robot has turned until each sample, by its gyro or its encoders and κ [rad]."""
     rate = samples[_SPEEDS[1]] * samples[ESTIMATE[5]]
-    if GYRO_ACCEPTED in samples and set(GYRO) <= set(samples):
-        bias, scale = (samples[name] for name in GYRO)
-        gyro = (samples[SENSORS["gyro"]] - bias) / scale
-        rate = gyro.where(samples[GYRO_ACCEPTED] & gyro.notna(), rate)
+    accepted = ACCEPTED[GYRO.name]
+    hats = [unknown.hat for unknown in GYRO.unknowns]
+    if accepted in samples and set(hats) <= set(samples):
+        bias, scale = (samples[name] for name in hats)
+        gyro = (samples[GYRO.column] - bias) / scale
+        rate = gyro.where(samples[accepted] & gyro.notna(), rate)
     return paper.DT_S * np.cumsum(rate.fillna(0.0).to_numpy())
 
 

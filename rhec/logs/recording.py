@@ -20,6 +20,7 @@ import pandas as pd
 from rhec import paper
 from rhec.logs.column_names import missing_columns
 from rhec.simulation.columns import (
+    MEANS,
     MEASUREMENTS,
     POSE,
     RECORDED,
@@ -29,6 +30,7 @@ from rhec.simulation.columns import (
     TRACKS,
     TRUE_SPEEDS,
 )
+from rhec.tracked_robot import sensors
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
@@ -36,10 +38,8 @@ DECLARED = "position_sigma_m"  # standard deviation of a position by its receive
 _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"
-# What a sample has as its newest measurement, and as a mean over its interval.
+# What a sample has as its newest measurement; of MEANS it has the mean over its interval.
 _MEASURED = (*MEASUREMENTS, *SENSORS.values())
-_MEANS = (*_ENCODERS, SENSORS["gyro"])
-_LIMITS_OF_SENSORS = dict(zip(SENSORS.values(), (100.0, 1e8)))
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
@@ -116,8 +116,8 @@ def prepare(log, track_width_m=None):
     n_positions = values[_POSITION].dropna().shape[0]
     _leave_out_flagged(values, log)
     flagged = n_positions - values[_POSITION].dropna().shape[0]
-    limits = SPEED_MODELS["parameter"].model.limits
-    limits = dict(zip(MEASUREMENTS, limits)) | _LIMITS_OF_SENSORS
+    limits = dict(zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits))
+    limits |= {sensor.column: sensor.limit for sensor in sensors.SENSORS.values()}
     present = {name: limit for name, limit in limits.items() if name in values}
     left_out = _drop_implausible(values, columns, present)
     for name in _ENCODERS:
@@ -513,7 +513,7 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=_MEASURED, means=_MEANS, timing=None):
+def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:

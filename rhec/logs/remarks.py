@@ -1,8 +1,8 @@
-"""What to say of a replay: where its yaw is not known, and how often its gyro is left out."""
+"""What to say of a replay: where its yaw is not known, and how often a sensor is left out."""
 
 from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.recording import moves
-from rhec.simulation.columns import GYRO_ACCEPTED, MEASUREMENTS, SENSORS, SIGMA
+from rhec.simulation.columns import ACCEPTED, MEASUREMENTS, SENSORS, SIGMA
 
 UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
 _OFTEN = 0.1  # share of the samples
@@ -35,18 +35,20 @@ def unknown_yaw(samples):
 
 
 def remarks(samples):
-    """Sentences about a replay: where its yaw is not known, and how often the gyro is left out.
+    """Sentences about a replay: where its yaw is not known, and how often a sensor is left out.
 
     Args:
         samples: DataFrame of a replay's samples.
     """
     unknown = unknown_yaw(samples)
     sentences = [unknown] if unknown else []
-    if GYRO_ACCEPTED in samples:
-        left_out = (samples[SENSORS["gyro"]].notna() & ~samples[GYRO_ACCEPTED])[moves(samples)]
+    for name, accepted in ACCEPTED.items():
+        if accepted not in samples:
+            continue
+        left_out = (samples[SENSORS[name]].notna() & ~samples[accepted])[moves(samples)]
         if left_out.mean() > _NOTABLE:
             sentences.append(
-                f"The gyro is left out in {left_out.mean():.1%} of the samples in which the robot "
-                "moves: it repeats itself, or turns far more than the tracks."
+                f"The {name} is left out in {left_out.mean():.1%} of the samples in which the "
+                "robot moves: it repeats itself, or turns far more than the tracks."
             )
     return sentences

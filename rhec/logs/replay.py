@@ -46,22 +46,25 @@ from rhec.logs.recording import (
 from rhec.logs.remarks import remarks, unknown_yaw
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
+    ACCEPTED,
     ESTIMATE,
     FLAGS,
     GATE,
-    GYRO,
-    GYRO_ACCEPTED,
+    HATS_OF_SENSORS,
     INNOVATION,
     LEVER_ARM,
+    MEANS,
     MEASUREMENTS,
     SENSORS,
     SIGMA,
-    SIGMA_GYRO,
     SIGMA_YAW_DRIFT,
+    SIGMAS_OF_SENSORS,
     YAW_DRIFT_HAT,
+    YAWS,
+    measured_of,
 )
 from rhec.simulation.scenario import Scenario
-from rhec.tracked_robot import gyro_check, sensors, slipping
+from rhec.tracked_robot import sensors, slipping
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
@@ -89,10 +92,10 @@ _SIGMA_FIRST = dict(
 )
 _SIGMA_ARM_M = 0.005  # standard deviation of a lever arm that the user passes
 # The columns of an estimate of the paper's robot and of its standard deviation.
-_HATS = dict(
-    zip((*_SIGMA_FIRST, *sensors.GYRO, YAW_DRIFT), (*ESTIMATE, *LEVER_ARM, *GYRO, YAW_DRIFT_HAT))
-)
-_SIGMAS = dict(zip(_HATS, (*SIGMA, *SIGMA_GYRO, SIGMA_YAW_DRIFT)))
+_HATS = dict(zip((*_SIGMA_FIRST, YAW_DRIFT), (*ESTIMATE, *LEVER_ARM, YAW_DRIFT_HAT)))
+_HATS |= HATS_OF_SENSORS
+_SIGMAS = dict(zip((*_SIGMA_FIRST, YAW_DRIFT), (*SIGMA, SIGMA_YAW_DRIFT)))
+_SIGMAS |= SIGMAS_OF_SENSORS
 # Rows of z of the paper's robot, by the flag that says whether they were used.
 POSITION_AND_ENCODERS = ((0, 1), (2, 3))
 # Columns of what a scan records besides estimates.
@@ -356,11 +359,6 @@ def _innovations(how, estimates, stream):
 # The paper's robot
 
 
-def measured_of(names=()):
-    """The columns of the measurements of a robot with these sensors, in the order of z."""
-    return [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in names)]
-
-
 def _model_of(choice):
     """The Model by which an estimator of the paper's robot is predicted."""
     return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
@@ -370,8 +368,9 @@ def replay_of(scenario):
     """The Replay of a scenario's estimator."""
     choice = Choice.of(scenario)
     model = _model_of(choice)
-    quantities = (*_SIGMA_FIRST, *(sensors.GYRO if "gyro" in scenario.sensors else ()))
-    quantities += (YAW_DRIFT,) * scenario.yaw_drift
+    of_sensors = sensors.records(scenario.sensors)
+    unknowns = (unknown.name for sensor in of_sensors for unknown in sensor.unknowns)
+    quantities = (*_SIGMA_FIRST, *unknowns, *(YAW_DRIFT,) * scenario.yaw_drift)
     structure = ("named", *choice)
     if choice.estimator == "rhe":
         known = (*QUANTITIES, *(name for name in quantities[6:] if name in model.joint_names))
@@ -386,7 +385,7 @@ def replay_of(scenario):
         hats=[_HATS[name] for name in quantities],
         sigmas=[_SIGMAS[name] for name in quantities],
         measured=measured,
-        means=[name for name in measured if name in (*MEASUREMENTS[2:], SENSORS["gyro"])],
+        means=[name for name in measured if name in MEANS],
         structure=(POSITION_AND_ENCODERS, *structure),
         settings=settings,
     )
@@ -402,7 +401,7 @@ def first_guess(first, nu, place, yaw_rad, sigma_yaw_rad):
     """
     arm_m = first.lever_arm_m or first.about_arm_m
     guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m)))
-    guess |= sensors.GYRO_GUESS | {YAW_DRIFT: 0.0}
+    guess |= sensors.GUESS | {YAW_DRIFT: 0.0}
     return guess, _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
 
 
@@ -469,26 +468,29 @@ def _first_yaw(first, number, samples):
     """The initial yaw [rad] of a segment, passed or measured at its first position; else None."""
     if first.yaw_rad is not None:
         return first.yaw_rad[number]
-    if SENSORS["heading"] not in samples:
-        return None
     with_position = samples[samples[MEASUREMENTS[:2]].notna().all(axis=1)]
-    heading_rad = with_position[SENSORS["heading"]].head(1)
-    return float(heading_rad.iloc[0]) if heading_rad.notna().any() else None
+    measured = with_position[samples.columns.intersection(YAWS)].head(1).to_numpy().ravel()
+    known = measured[np.isfinite(measured)]
+    return float(known[0]) if len(known) else None
 
 
 def used_samples(samples, scenario):
-    """The samples of each segment as a scenario's estimator uses them: of a gyro what is accepted.
+    """The samples of each segment as a scenario's estimator uses them: of sensors what is accepted.
 
-    Which are is told in a column of the samples.
+    Which are is told in columns of the samples.
     """
-    used = []
-    for part in samples:
-        if "gyro" in scenario.sensors:
-            gyro = part[SENSORS["gyro"]]
-            omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
-            part[GYRO_ACCEPTED] = gyro_check.are_accepted(gyro, omega)
-            part = part.assign(**{SENSORS["gyro"]: gyro.where(part[GYRO_ACCEPTED])})
-        used.append(part)
+    return [_used_part(part, sensors.records(scenario.sensors)) for part in samples]
+
+
+def _used_part(part, of_sensors):
+    """The samples of a segment with what is accepted of these Sensors, which is told in `part`."""
+    used = part
+    omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
+    for sensor in of_sensors:
+        if sensor.accepts:
+            accepted = sensor.accepts(part[sensor.column], omega)
+            part[ACCEPTED[sensor.name]] = accepted
+            used = used.assign(**{sensor.column: part[sensor.column].where(accepted)})
     return used
 
 
@@ -517,8 +519,9 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
             how, stream, first_memory, yaw_rad, first.sigma_yaw_rad, hindsight=smooth
         )
         part = pd.concat([part, estimates], axis=1)
-        # A heading tells the yaw whatever the course is.
-        by_course = 0.0 if "heading" in scenario.sensors else yaw_sigma_rad(part, noise_m)
+        # A measured yaw tells it whatever the course is.
+        has_yaw = sensors.rows_of_yaws(scenario.sensors, len(MEASUREMENTS))
+        by_course = 0.0 if has_yaw else yaw_sigma_rad(part, noise_m)
         if smooth:
             part = _smooth(how, part, stream, first)
         part[SIGMA_BY_COURSE] = by_course
@@ -660,7 +663,7 @@ def at_rows(samples, recording, log, how):
     usable[recording.places] = np.arange(len(rows))
     result = rows.iloc[np.maximum.accumulate(np.maximum(usable, 0))].set_axis(log.index)
     result.loc[usable < 0, how.measured] = np.nan
-    result.loc[usable < 0, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
+    result.loc[usable < 0, result.columns.intersection([*GATE, *ACCEPTED.values()])] = False
     result.attrs["faults"] = recording.faults
     if "origin" in log.attrs:
         result.attrs["origin"] = log.attrs["origin"]
@@ -683,7 +686,7 @@ def _at_rows_of_segment(samples, rows, averaged, how):
     ages = [f"{name}_age_s" for name in how.measured]
     of_sample = result.columns.intersection([*INNOVATION, "deviance", *ages])
     result.loc[is_between, of_sample] = np.nan
-    result.loc[is_between, result.columns.intersection([*GATE, GYRO_ACCEPTED])] = False
+    result.loc[is_between, result.columns.intersection([*GATE, *ACCEPTED.values()])] = False
     of_row = rows.columns.difference(["segment", POSITION_AGE], sort=False)
     result[of_row] = rows[of_row].to_numpy()
     return result

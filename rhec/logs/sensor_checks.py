@@ -1,4 +1,4 @@
-"""Checks of a log's gyro and heading for a wrong sign, axis, unit or direction of zero.
+"""Checks of what a log's sensors say of the yaw for a wrong sign, axis, unit or direction of zero.
 
 The turns of the encoders are the reference for turns, and the course of the positions for the
 direction. Both are rough, so that only what no robot explains is found.
@@ -9,7 +9,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs.finding import refused
-from rhec.simulation.columns import MEASUREMENTS, SENSORS
+from rhec.simulation.columns import MEASUREMENTS
+from rhec.tracked_robot.sensors import YAW, YAW_RATE, records
 
 _X, _Y, _SPEED, _YAW_RATE = MEASUREMENTS
 _WINDOW = 10  # samples over which turns are compared
@@ -25,27 +26,29 @@ _LARGEST_SPREAD_RAD = 0.7  # of that offset, for a clear one
 
 
 def check_sensors(recording):
-    """Find a wrong sign, axis, unit or zero of a Recording's gyro and heading."""
+    """Find a wrong sign, axis, unit or zero of the yaws and yaw rates of a Recording's sensors."""
     if not recording.sensors:
         return
     samples = pd.concat(recording.samples(), ignore_index=True)
     by_segment = samples.groupby("segment")
     turned = paper.DT_S * _sums(by_segment[_YAW_RATE])
-    for name in recording.sensors:
-        column = SENSORS[name]
-        is_gyro = name == "gyro"
+    for sensor in records(recording.sensors):
+        column = sensor.column
+        if sensor.measures not in (YAW, YAW_RATE):
+            continue
+        is_rate = sensor.measures == YAW_RATE
         turns = (
-            paper.DT_S * _sums(by_segment[column]) if is_gyro else by_segment[column].diff(_WINDOW)
+            paper.DT_S * _sums(by_segment[column]) if is_rate else by_segment[column].diff(_WINDOW)
         )
         ratio = (turns / turned)[turned.abs().between(*_TURNS_RAD)].dropna()
-        cause = _cause(ratio, "rad/s" if is_gyro else "rad")
+        cause = _cause(ratio, "rad/s" if is_rate else "rad")
         if cause:
             yield refused(
                 f"the log's {recording.columns[column]} {cause}: it turns {ratio.median():.3g} "
                 f"times as far as {recording.columns[_YAW_RATE]} says"
             )
-        elif not is_gyro:
-            yield from _check_offset(samples, by_segment, turned, recording.columns[column])
+        elif not is_rate:
+            yield from _check_offset(samples, turned, column, recording.columns[column])
 
 
 def _sums(values):
@@ -71,9 +74,10 @@ def _cause(ratio, unit):
     return None
 
 
-def _check_offset(samples, by_segment, turned, column):
+def _check_offset(samples, turned, column, column_of_log):
     """Find a heading that is not the direction in which the robot drives."""
-    heading = by_segment[SENSORS["heading"]].shift(_WINDOW // 2)
+    by_segment = samples.groupby("segment")
+    heading = by_segment[column].shift(_WINDOW // 2)
     way = by_segment[[_X, _Y]].transform(pd.Series.interpolate).groupby(samples["segment"])
     way = way.diff(_WINDOW) @ [1, 1j]
     forward = _sums(by_segment[_SPEED])
@@ -87,6 +91,6 @@ def _check_offset(samples, by_segment, turned, column):
     offset = float(np.angle(mean))
     if abs(offset) > _LARGEST_OFFSET_RAD and spread < _LARGEST_SPREAD_RAD:
         yield refused(
-            f"the log's {column} is {offset:.3g} rad from the direction in which the robot drives; "
-            "it may be counted from north and should be counted from the x axis"
+            f"the log's {column_of_log} is {offset:.3g} rad from the direction in which the robot "
+            "drives; it may be counted from north and should be counted from the x axis"
         )

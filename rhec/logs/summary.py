@@ -25,7 +25,7 @@ from rhec.logs.reader import read_if_path
 from rhec.logs.recording import Recording, delayed, prepare, travelled
 from rhec.logs.remarks import unknown_yaw
 from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMA_GYRO
+from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMAS_OF_SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.tuning import sigma_v_of
 
@@ -165,9 +165,9 @@ def _what_it_is(summary):
     noise = f"σ {max(facts['position_sigma_m'], facts['declared_sigma_m']):.2g} m"
     sensors = [f"positions at {facts['positions_hz']:.3g} Hz ({noise})"]
     sensors.append(f"encoders at {facts['encoders_hz']:.3g} Hz")
-    sensors += [name for name in ("gyro", "heading") if name in summary.taken]
+    sensors += [name for name in SENSORS if name in summary.taken]
     size = f"{facts['duration_s']:.0f} s, {facts['driven_m']:.0f} m, {facts['turned_rad']:.0f} rad"
-    roles = ("positions", "encoders", "gyro", "heading", "time")
+    roles = ("positions", "encoders", *SENSORS, "time")
     taken = [summary.taken[role] for role in roles if role in summary.taken]
     return [f"{size}; {', '.join(sensors)}", f"from {'; '.join(taken)}"]
 
@@ -297,7 +297,7 @@ def log(
 
 def _inflated(samples, factor):
     """Samples with larger standard deviations; what the course adds to that of the yaw stays."""
-    sigmas = samples.columns.intersection([*SIGMA, *SIGMA_GYRO])
+    sigmas = samples.columns.intersection([*SIGMA, *SIGMAS_OF_SENSORS.values()])
     wider = samples.assign(**{name: factor * samples[name] for name in sigmas})
     yaw = SIGMA[2]
     variance = np.square(wider[yaw]) - (factor**2 - 1) * np.square(samples[SIGMA_BY_COURSE])
@@ -311,8 +311,7 @@ def _taken(log, recording=None):
         roles = {
             "positions": MEASUREMENTS[:2],
             "encoders": MEASUREMENTS[2:],
-            "gyro": [SENSORS["gyro"]],
-            "heading": [SENSORS["heading"]],
+            **{name: [column] for name, column in SENSORS.items()},
             "truth, unseen": RECORDED_TRUTH,
         }
         for role, names in roles.items():

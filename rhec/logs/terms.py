@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import ESTIMATE, GYRO, LEVER_ARM, MEASUREMENTS, SIGMA, SIGMA_GYRO
+from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
+from rhec.tracked_robot.sensors import UNKNOWNS
 
 _STEP = 5  # samples between the estimates that are compared
 _BLOCK_S = 10.0  # length of the blocks that the jackknife leaves out
@@ -25,8 +26,7 @@ _NONE = 1e-6  # of what moves by its velocity alone, or does not move
 _CONSTANTS = {
     "antenna ahead": (LEVER_ARM[0], SIGMA[6], "m"),
     "antenna left": (LEVER_ARM[1], SIGMA[7], "m"),
-    "gyro bias": (GYRO[0], SIGMA_GYRO[0], "rad/s"),
-    "gyro scale": (GYRO[1], SIGMA_GYRO[1], "-"),
+    **{of.label: (of.hat, of.sigma_column, of.unit) for of in UNKNOWNS},
 }
 
 
@@ -183,7 +183,7 @@ def _least(slope):
 
 
 def constants(samples):
-    """{parameter: (value, low, high, unit)} of antenna and gyro, by smoothed samples.
+    """{parameter: (value, low, high, unit)} of antenna and sensors, by smoothed samples.
 
     What the replay does not estimate is left out.
     """

@@ -2,6 +2,8 @@
 
 from itertools import chain
 
+from rhec.tracked_robot import sensors
+
 # Lists, so that log[ESTIMATE] selects these columns.
 POSE = ["x_m", "y_m", "theta_rad"]
 TRUTH = [*POSE, "nu_mps", "mu", "kappa"]
@@ -43,27 +45,35 @@ SIGMA = [
     "sigma_arm_forward_m",
     "sigma_arm_left_m",
 ]
-# Sensors besides GNSS and encoders: the columns of their measurements, and of a gyro's estimates.
-SENSORS = dict(gyro="gyro_meas_radps", heading="heading_meas_rad")
-GYRO = ["gyro_bias_hat_radps", "gyro_scale_hat"]
-GYRO_ACCEPTED = "gyro_accepted"
-SIGMA_GYRO = ["sigma_gyro_bias_radps", "sigma_gyro_scale"]
+# Sensors besides GNSS and encoders: the columns of their measurements, of whether a replay uses
+# these, of measured yaws, of all means over a sample, and of what is estimated of the sensors.
+SENSORS = {name: sensor.column for name, sensor in sensors.SENSORS.items()}
+ACCEPTED = {name: f"{name}_accepted" for name, of in sensors.SENSORS.items() if of.accepts}
+YAWS = [of.column for of in sensors.SENSORS.values() if of.measures == sensors.YAW]
+MEANS = [*MEASUREMENTS[2:], *(of.column for of in sensors.SENSORS.values() if of.is_mean)]
+HATS_OF_SENSORS = {unknown.name: unknown.hat for unknown in sensors.UNKNOWNS}
+SIGMAS_OF_SENSORS = {unknown.name: unknown.sigma_column for unknown in sensors.UNKNOWNS}
 # The estimated yaw drift, of estimators that have it.
 YAW_DRIFT_HAT = "yaw_drift_hat_radpm"
 SIGMA_YAW_DRIFT = "sigma_yaw_drift_radpm"
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
 
+def measured_of(sensors=()):
+    """Columns of the measurements of a robot with these sensors, in the order of z."""
+    return [*MEASUREMENTS, *(SENSORS[name] for name in sensors)]
+
+
 def of_run(sensors, has_yaw_drift):
     """Columns of a run's log: COLUMNS, those of its `sensors`, and an estimated yaw drift."""
-    of_sensors = [SENSORS[name] for name in SENSORS if name in sensors]
+    of_sensors = measured_of(sensors)[len(MEASUREMENTS) :]
     return [*COLUMNS, *of_sensors, *([YAW_DRIFT_HAT] if has_yaw_drift else [])]
 
 
 # Columns of a recording, by their names in a run or a replay.
 TRACKS = ["v_left_mps", "v_right_mps"]
 RECORDED = dict(zip(MEASUREMENTS, ("x_m", "y_m", "speed_mps", "yaw_rate_radps")))
-RECORDED_SENSORS = dict(zip(SENSORS.values(), ("gyro_radps", "heading_rad")))
+RECORDED_SENSORS = {of.column: of.recorded_column for of in sensors.SENSORS.values()}
 RECORDED_TRUTH = dict(zip(POSE, ("x_true_m", "y_true_m", "yaw_true_rad"))) | {
     name: name for name in TRUE_SPEEDS
 }

@@ -1,9 +1,9 @@
-"""What a failing receiver, encoder, gyro or heading does to the measurements (x, y, ν, ω, …).
+"""What a failing receiver, encoder or further sensor does to the measurements (x, y, ν, ω, …).
 
 Not in the paper. Every kind of Fault does at most three things to a sample:
 
     source_s   the measurement that arrives is the one of an earlier time
-    dead       the encoder of a track, the gyro or the heading measures 0
+    dead       the encoder of a track, or a further sensor, measures 0
     added      something is added: an offset, or NaN where nothing arrives
 
 `_schedule` says what happens when; `corrupted` applies it to a recorded stream, `deliver` to the
@@ -17,6 +17,7 @@ import numpy as np
 
 from rhec.core._casadi.build import casadi_function
 from rhec.simulation.faults import CHANNELS, PAST, memory_shapes, stream_shapes
+from rhec.tracked_robot.sensors import rows_of_yaws
 
 _DEAD_TRACKS = {"left": (1, 0), "right": (0, 1), "encoders": (1, 1)}
 # A time that rounds to the start or end of a fault counts as that time.
@@ -147,9 +148,9 @@ def corrupted(z, faults, t_s, track_width_m, seed=0, sensors=()):
     times t_s (n,) [s]. The seed fixes the directions of outliers.
     """
     z = np.array(z, dtype=float)
-    if "heading" in sensors:
-        is_number = np.isfinite(z[:, -1])
-        z[is_number, -1] = np.unwrap(z[is_number, -1])
+    for row in rows_of_yaws(sensors, 4):
+        is_number = np.isfinite(z[:, row])
+        z[is_number, row] = np.unwrap(z[is_number, row])
     plan = _schedule(faults, t_s, seed, sensors)
     for channel, source_s in enumerate(plan.source_s.T):
         z[:, _entries(channel)] = _interpolated(source_s, t_s, z[:, _entries(channel)])

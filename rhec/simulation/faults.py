@@ -7,13 +7,14 @@ import numpy as np
 from pydantic import Field
 
 from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
+from rhec.tracked_robot.sensors import SENSORS
 
 DELAY_MAX_S = 1.0
 PAST = 5  # earlier measurements that the closed loop stores
 
 
 def memory_shapes(n_sensors=0):
-    """Shapes of what faulty sensors remember, by name; with `n_sensors` of SENSOR_CHANNELS."""
+    """Shapes of what faulty sensors remember, by name; with `n_sensors` of SENSORS."""
     return dict(past=(4 + n_sensors, PAST), held=(4 + n_sensors, 1))
 
 
@@ -40,10 +41,10 @@ KINDS = (
 SIZES = {"jump": "size_m", "outliers": "size_m", "latency": "delay_s", "rate": "rate_hz"}
 # Columns of source_s that a channel stands for: 0 is the position, 1 are the track speeds.
 CHANNELS = {"gnss": (0,), "encoders": (1,), "all": (0, 1)}
-# Channels of sensors that not every robot has; they follow those, and are part of "all", too.
-SENSOR_CHANNELS = ("gyro", "heading")
 # Channels of the kinds that cannot be on each of these
 OWN_CHANNELS = {"outliers": ("gnss",), "jump": ("gnss",), "dead": ("left", "right", "encoders")}
+# The sensors that not every robot has are channels, too. They follow those, and belong to "all".
+_ALL_CHANNELS = (*CHANNELS, "left", "right", *SENSORS)
 
 
 def as_python(record):
@@ -81,9 +82,9 @@ class Fault:
             "disorder": time runs backwards every other sample: 2, 1, 4, 3, …;
             "latency": measurements arrive late by delay_s;
             "rate": only rate_hz measurements a second arrive;
-            "dead": the encoder of a track, the gyro or the heading measures 0.
-        channel: "gnss", "encoders", "gyro", "heading" or "all"; for "dead" "left", "right",
-            "encoders", "gyro" or "heading"; for "outliers" and "jump" "gnss".
+            "dead": the encoder of a track, or one of Scenario's `sensors`, measures 0.
+        channel: "gnss", "encoders", "all" or one of Scenario's `sensors`; for "dead" "left",
+            "right", "encoders" or one of Scenario's `sensors`; for "outliers" and "jump" "gnss".
         start_s: When it begins [s].
         duration_s: How long it lasts [s].
         size_m: Size of outliers and jumps [m].
@@ -95,7 +96,7 @@ class Fault:
     """
 
     kind: Literal[KINDS]
-    channel: Literal["gnss", "encoders", "all", "left", "right", "gyro", "heading"] = "gnss"
+    channel: Literal[_ALL_CHANNELS] = "gnss"
     start_s: Real = 0.0
     duration_s: NotNegative = 1e9
     size_m: NotNegative | None = None
@@ -107,7 +108,7 @@ class Fault:
     def __post_init__(self):
         allowed = OWN_CHANNELS.get(self.kind, tuple(CHANNELS))
         if "encoders" in allowed:
-            allowed = (*allowed, *SENSOR_CHANNELS)
+            allowed = (*allowed, *SENSORS)
         if self.channel not in allowed:
             raise ValueError(
                 f"channel was {self.channel!r}; for the kind {self.kind!r} it should be one of "

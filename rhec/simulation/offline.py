@@ -8,7 +8,7 @@ from rhec.core import runner
 from rhec.core._casadi import early
 from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
-from rhec.simulation.columns import MEASUREMENTS, POSE, SENSORS, TRUTH
+from rhec.simulation.columns import POSE, TRUTH, measured_of
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
@@ -77,10 +77,9 @@ def _arguments(step, scenario, run):
     estimator = estimator_of(choice.estimator)
     guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
-    of_sensors = [SENSORS[name] for name in SENSORS if name in scenario.sensors]
     told = [column for name in estimator.told for column in _TOLD.get(name, ())]
     settings = estimator.settings(scenario) | dict(mean_traction=run.terrain.mean)
-    return memory, columns(run, [*MEASUREMENTS, *of_sensors, *told]), settings
+    return memory, columns(run, [*measured_of(scenario.sensors), *told]), settings
 
 
 def sigma_of_traction(run):

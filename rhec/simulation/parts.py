@@ -19,7 +19,6 @@ from rhec.simulation import faults
 from rhec.simulation.columns import LOG
 from rhec.simulation.controller import own_controller
 from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot import plant_options as robot_options
 from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
@@ -27,6 +26,7 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
+from rhec.tracked_robot.sensors import records, rows_of_yaws, within_a_turn
 from rhec.tracked_robot.terrain import Terrain
 
 _ONE = (1, 1)
@@ -107,25 +107,33 @@ def _sensors(scenario, world):
     sensors = scenario.sensors
     measure = block_of(robot.measure, paper.DT_S, remembers=("drift",))
     yield Part(measure, dict(drift=np.zeros(2)), _fields(scenario, robot.SENSORS))
-    if "gyro" in sensors:
-        yield Part(
-            block_of(
-                robot_options.gyro, paper.DT_S, remembers=("last_yaw",), draws=("gyro_noise",)
-            ),
-            dict(last_yaw=world.pose[2]) if world else {},
-            _fields(scenario, ("gyro_sigma_radps", "gyro_bias_radps", "gyro_scale")),
-            dict(gyro_noise=robot_options.GYRO_NOISE),
-        )
-    if "heading" in sensors:
-        yield Part(
-            block_of(robot_options.heading, _n_z(scenario) - 1, draws=("heading_noise",)),
-            settings=_fields(scenario, ("heading_sigma_rad",)),
-            streams=dict(heading_noise=robot_options.HEADING_NOISE),
-        )
+    for n_z, sensor in enumerate(records(sensors), _N_Z):
+        yield _sensor(sensor, n_z, scenario, world)
     if scenario.faults:
         yield from _faults(sensors)
-    if "heading" in sensors:
-        yield Part(block_of(robot_options.within_a_turn, _n_z(scenario)))
+    yaws = rows_of_yaws(sensors, _N_Z)
+    if yaws:
+        yield Part(block_of(within_a_turn, _n_z(scenario), yaws))
+
+
+def _sensor(sensor, n_z, scenario, world):
+    """A Sensor, which appends its measurement to the n_z entries of z."""
+    noise = f"{sensor.name}_noise"
+    remembered = {signal: f"{sensor.name}_{signal}" for signal in sensor.remembers}
+    settings = {name: of.parameter for name, of in sensor.settings.items()}
+    block = block_of(
+        sensor.measure,
+        paper.DT_S,
+        n_z,
+        reads=settings | remembered | dict(noise=noise),
+        writes=remembered,
+        remembers=tuple(remembered.values()),
+        draws=(noise,),
+    )
+    first = {remembered[signal]: of(world.pose) for signal, of in sensor.remembers.items() if world}
+    return Part(
+        block, first, _fields(scenario, settings.values()), {noise: robot.Normal(sensor.stream)}
+    )
 
 
 def _faults(sensors):

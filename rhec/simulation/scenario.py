@@ -14,13 +14,14 @@ from rhec import paper
 from rhec.core._casadi import validation as valid
 from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.controller import Controller, check_fits
-from rhec.simulation.faults import SENSOR_CHANNELS, Fault, as_python
+from rhec.simulation.faults import Fault, as_python
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
 from rhec.tracked_robot.path import Path, Turns, path_of
-from rhec.tracked_robot.sensors import refuse_drift_with
+from rhec.tracked_robot.sensors import SENSORS
+from rhec.tracked_robot.speed_models import refuse_drift_with
 from rhec.tracked_robot.terrain import Patch, Seed, Terrain, box_of
 
 if TYPE_CHECKING:
@@ -265,7 +266,7 @@ def _check_fits_estimator(scenario):
     if scenario.yaw_drift:
         refuse_drift_with(scenario.speed_model)
     for fault in scenario.faults:
-        if fault.channel in SENSOR_CHANNELS and fault.channel not in scenario.sensors:
+        if fault.channel in SENSORS and fault.channel not in scenario.sensors:
             raise ValueError(
                 f"faults was {valid.shown(scenario.faults)}, with a {fault.channel} that fails; "
                 f"sensors should have {fault.channel!r}, too, and was {scenario.sensors!r}"

@@ -16,9 +16,10 @@ from rhec.core.estimator import rhe
 from rhec.core.estimator.base import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
+from rhec.tracked_robot.kinematics import MEASURED, QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
-from rhec.tracked_robot.sensors import OUTPUTS, refuse_drift_with, speed_model_of
+from rhec.tracked_robot.sensors import rows_of_yaws
+from rhec.tracked_robot.speed_models import refuse_drift_with, speed_model_of
 from rhec.tracked_robot.yaw_disturbance import disturbance_of
 
 
@@ -123,7 +124,7 @@ class RHE(rhe.RHE):
             speed_model=speed_model,
             slip=slip,
             arrival_mean=arrival_mean,
-            sensors=tuple(name for name in OUTPUTS if name in sensors),
+            sensors=sensors,
             sigma_gyro=sigma_gyro,
             sigma_heading=sigma_heading,
             track_width_m=track_width_m,
@@ -131,6 +132,7 @@ class RHE(rhe.RHE):
         )
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
+        self._rows_of_yaws = rows_of_yaws(sensors, len(MEASURED))
         self._load(rhe.build_phases, window, settings_of(given, dt))
 
     def _start(self):
@@ -140,9 +142,9 @@ class RHE(rhe.RHE):
         sigma = SIGMA_START
         if guess is None:
             x, y, nu = np.where(plausible, z, 0.0)[:3]
-            has_heading = OUTPUTS["heading"] in self.model.outputs and plausible[-1]
-            guess = (x, y, z[-1] if has_heading else 0.0, nu, 1.0, 1.0)
-            # One measurement says nothing of the yaw, unless it is a heading, which follows.
+            yaws = [z[row] for row in self._rows_of_yaws if plausible[row]]
+            guess = (x, y, yaws[0] if yaws else 0.0, nu, 1.0, 1.0)
+            # One measurement says nothing of the yaw, unless it is one of the yaw, which follows.
             sigma = sigma | dict(theta_rad=np.pi / 2)
         memory = init(self.window, dict(zip(QUANTITIES, guess)), sigma)
         self.iteration.start(memory | dict(age=0.0))

@@ -47,8 +47,8 @@ BODY = dict.fromkeys(
     (1, 1),
 )
 
-# Random streams of a seed; others belong to what not every robot has (`plant_options`), and to
-# the faults.
+# Random streams of a seed; others belong to the sensors that not every robot has
+# (`sensors`), and to the faults.
 _STREAM_OF_ALL_BUT_SPEED = 1
 _STREAM_OF_SPEED = 4
 

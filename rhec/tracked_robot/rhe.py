@@ -10,16 +10,15 @@ from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import EstimatorRecord
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
-from rhec.tracked_robot.sensors import GYRO_GUESS, speed_model_of
+from rhec.tracked_robot.sensors import GUESS, SIGMA_GUESS, records, sigma_of_sensors
+from rhec.tracked_robot.speed_models import constants_of, speed_model_of
 
 # Start-up: the paper's W; next to nothing for other quantities that a model estimates.
 SIGMA_START = dict(zip(QUANTITIES, paper.SIGMA_W_RHE)) | {YAW_DRIFT: tuning.SIGMA_YAW_DRIFT}
 _SIGMA_KNOWN = 1e-3
-# A gyro's bias and scale; and the last inputs of a model that holds them.
-_SIGMA_GYRO_START = {"gyro_bias_radps": 0.05, "gyro_scale": 0.03}
-_SIGMA_INPUT = 10.0
-# Where a window restarts, nothing slips and the gyro is as it should be.
-_RESTART = dict(mu=1.0, kappa=1.0) | GYRO_GUESS
+_SIGMA_INPUT = 10.0  # of the last inputs of a model that holds them
+# Where a window restarts, nothing slips and sensors are as they should be.
+_RESTART = dict(mu=1.0, kappa=1.0) | GUESS
 
 # Only positions are judged. A wild one would take the estimate with it. Encoders weigh too little
 # for that, and where a robot stops suddenly, what they measure must not be rejected.
@@ -50,7 +49,7 @@ def init(window, guess, sigma=SIGMA_START):
     `guess` and `sigma` are {quantity: value} and {quantity: standard deviation}.
     """
     names = window.model.joint_names
-    guess = GYRO_GUESS | guess
+    guess = GUESS | guess
     return rhe.init(
         window,
         np.array([guess.get(name, 0.0) for name in names]),
@@ -61,7 +60,7 @@ def init(window, guess, sigma=SIGMA_START):
 
 def sigma_start(model, sigma=SIGMA_START):
     """Standard deviations of the joint state at the start, from those by name."""
-    known = SIGMA_START | dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | _SIGMA_GYRO_START
+    known = SIGMA_START | dict.fromkeys(model.held_inputs, _SIGMA_INPUT) | SIGMA_GUESS
     known |= dict(sigma)
     return np.array([known.get(name, _SIGMA_KNOWN) for name in model.joint_names])
 
@@ -73,12 +72,10 @@ def settings_of(scenario, dt_s=paper.DT_S):
         scenario: A Scenario, or what has its parameters of the RHE.
         dt_s: Length of a sample [s].
     """
-    sensors = scenario.sensors
-    speed_model = speed_model_of(scenario.speed_model, sensors, scenario.yaw_drift)
+    speed_model = speed_model_of(scenario.speed_model, scenario.sensors, scenario.yaw_drift)
     noise = speed_model.noise or tuning.noise_of(tuning.name_of_noise(scenario), scenario)
-    of_sensors = tuning.sigma_of_sensors(sensors, scenario.sigma_gyro, scenario.sigma_heading)
     settings = dict(
-        V=np.square((*(scenario.sigma_v or noise.sigma_v), *of_sensors)),
+        V=np.square((*(scenario.sigma_v or noise.sigma_v), *sigma_of_sensors(scenario))),
         W=np.square(_sigma_w(scenario, speed_model, dt_s)),
         P_0=np.square(sigma_start(speed_model.model)),
         m_0=np.array([_RESTART.get(name, 0.0) for name in speed_model.model.joint_names]),
@@ -86,7 +83,8 @@ def settings_of(scenario, dt_s=paper.DT_S):
     if speed_model.model.motion_noise:
         constants = dict(speed_model.model.motion_noise.constants)
         constants |= dict(zip(tuning.SLIP, scenario.slip or ()))
-        constants |= tuning.gyro_constants(sensors, scenario.sigma_gyro)
+        for sensor in records(scenario.sensors):
+            constants |= constants_of(sensor, sensor.sigma_of(scenario))
         constants |= dict(track_width_m=scenario.track_width_m, dt_s=dt_s)
         settings["c"] = np.array([*constants.values()])
     return settings
@@ -95,8 +93,8 @@ def settings_of(scenario, dt_s=paper.DT_S):
 def _sigma_w(scenario, speed_model, dt_s):
     """Standard deviations of the process noise of the joint state of a model with sensors.
 
-    `sigma_w` of a scenario covers what the model without sensors estimates. The bias of a gyro
-    wanders besides. Where the model has motion noise, its constants say how much.
+    `sigma_w` of a scenario covers what the model without sensors estimates. What is unknown of a
+    sensor may wander besides. Where the model has motion noise, its constants say how much.
     """
     plain = speed_model_of(scenario.speed_model, yaw_drift=scenario.yaw_drift)
     names = plain.model.joint_names
@@ -107,7 +105,8 @@ def _sigma_w(scenario, speed_model, dt_s):
         sigma_w = plain.noise.sigma_w if plain.noise else [tuned[name] for name in names]
     sigma = dict(zip(names[-plain.n_sigma_w :], sigma_w))
     if not speed_model.model.motion_noise:
-        sigma |= dict(gyro_bias_radps=tuning.GYRO["gyro_bias_walk"] * dt_s**0.5)
+        unknowns = (unknown for of in records(scenario.sensors) for unknown in of.unknowns)
+        sigma |= {unknown.name: unknown.walk * dt_s**0.5 for unknown in unknowns}
     return [sigma.get(name, 0.0) for name in speed_model.model.joint_names]
 
 

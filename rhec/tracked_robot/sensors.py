@@ -1,115 +1,265 @@
-"""The robot's Model by its speed model, with a gyro and a heading as further outputs.
+"""The sensors that a robot may have besides GNSS and encoders, each one record. Not in the paper.
 
-Only the speed model "parameter" without sensors is in the paper.
-
-The gyro measures s θ̇ + β with a scale s and a bias β, two bounded parameters that are estimated.
-Its noise has a constant part, and with the speed model "slipping" one in proportion to the yaw
-rate, for errors of its axis and its timing. The heading, as of two GNSS antennas, measures θ up to
-full turns.
+A record holds all that there is to know of a sensor: what it measures, how large its noise is
+taken to be, how it is simulated, and how its columns are called. The Model of the robot, the blocks
+of the closed loop, the columns of logs, the channels of faults, the explorer's sliders, the
+calibration of recorded logs and the exported C take their lists from SENSORS. To add a sensor, add
+a record to SENSORS and its parameters, `sigma` and those of `settings`, to Scenario.
 """
 
-import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
-from rhec.core.model.base import Model, MotionNoise
-from rhec.tracked_robot import tuning
-from rhec.tracked_robot.kinematics import DRIFTING_SPEED_MODELS, SPEED_MODELS, SpeedModel
+from rhec.core._casadi.build import casadi_function
+from rhec.tracked_robot import gyro_check
 
-# The outputs of the sensors, in the order in which they follow (x, y, ν, ω).
-OUTPUTS = {"gyro": "gyro_radps", "heading": "heading_rad"}
-_LIMITS = {"gyro": 100.0, "heading": 1e8}
-# Parameters of the gyro with their bounds.
-GYRO = {"gyro_bias_radps": (-0.2, 0.2), "gyro_scale": (0.8, 1.25)}
-GYRO_GUESS = {"gyro_bias_radps": 0.0, "gyro_scale": 1.0}
-_ERROR = "gyro_error_radps"
+_ONE = (1, 1)
+# What a sensor may measure that others ask for.
+YAW = "theta_rad"
+YAW_RATE = "yaw_rate_radps"
 
 
-def refuse_drift_with(speed_model):
-    """Refuse a speed model that has no yaw drift."""
-    if speed_model not in DRIFTING_SPEED_MODELS:
-        expected = f"with yaw_drift it should be one of {tuple(DRIFTING_SPEED_MODELS)}"
-        raise ValueError(f"speed_model was {speed_model!r}; {expected}")
+class Unknown(NamedTuple):
+    """A parameter of a sensor that the estimator estimates."""
+
+    name: str  # among the parameters of the Model
+    label: str
+    unit: str
+    bounds: tuple[float, float]
+    guess: float
+    sigma: float  # standard deviation of the guess
+    hat: str  # column of its estimate
+    walk: float = 0.0  # its random walk [its unit/√s]
+
+    @property
+    def sigma_column(self):
+        """The column of its standard deviation."""
+        return f"sigma_{self.name}"
 
 
-@functools.cache
-def speed_model_of(name, sensors=(), yaw_drift=False):
-    """The SpeedModel of a Scenario's `speed_model`, `sensors` and `yaw_drift`.
+class Noise(NamedTuple):
+    """A standard deviation of a sensor's noise that the estimator assumes."""
 
-    `sensors` is a tuple of names of OUTPUTS.
+    unit: str
+    default: float
+    label: str = ""  # behind "noise of the …"
+
+
+class Setting(NamedTuple):
+    """A parameter of Scenario that says how a simulated sensor measures, and its slider."""
+
+    parameter: str
+    label: str
+    low: float
+    high: float
+    step: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """A sensor besides GNSS and encoders.
+
+    Attributes:
+        name: Its name in `Scenario.sensors`, and the channel of its faults.
+        output: Its output of the Model.
+        limit: Largest plausible size of a measurement, in its unit.
+        measures: YAW, YAW_RATE, or the name of anything else that it measures. A measured yaw is
+            known up to full turns.
+        h: (values, slopes) -> what the Model says that it measures. Both are expressions by name:
+            of states, inputs and parameters, and of the derivatives of the states.
+        unknowns: Parameters of it that are estimated.
+        error: Its error in proportion to the yaw rate of the tracks, as an input of those Models
+            whose noise grows with the motion; None if there is none.
+        sigma: The parameter of Scenario with its noise, if that is not the default: a number, or a
+            tuple for more than one entry of `noise`.
+        noise: Standard deviations of its noise: the constant part, and where it has an `error` the
+            share of the yaw rate.
+        measure: (dt_s, n_z) -> Function of the simulated sensor, which appends its measurement to
+            the n_z entries of z. It may take the `pose` (3), `noise` (standard normal), what it
+            remembers, and `settings`.
+        settings: {input of that Function: Setting}.
+        remembers: {what that Function returns for the next sample: (pose) -> its first value}.
+        stream: Number of the random stream of its noise; 1, 2 and 4 belong to plant and faults.
+        column: Of its measurements in a run's log.
+        recorded_column: Of its measurements in a recorded log.
+        is_mean: Whether it measures a mean over a sample.
+        accepts: (measurements, yaw rates of the tracks), both Series (n,) -> which of them a replay
+            uses; None for all.
     """
-    if yaw_drift:
-        speed_model = DRIFTING_SPEED_MODELS[name]
-    elif name == "slipping":
-        # Imported here, because it is not in the paper: most runs do without it.
-        from rhec.tracked_robot.slipping import SLIPPING as speed_model
-    else:
-        speed_model = SPEED_MODELS[name]
-    return _with_sensors(speed_model, sensors) if sensors else speed_model
+
+    name: str
+    output: str
+    limit: float
+    measures: str
+    h: Callable[[Mapping, Mapping], Any]
+    unknowns: tuple[Unknown, ...] = ()
+    error: str | None = None
+    sigma: str
+    noise: tuple[Noise, ...]
+    measure: Callable[[float, int], ca.Function]
+    settings: Mapping[str, Setting]
+    remembers: Mapping[str, Callable] = field(default_factory=dict)
+    stream: int
+    column: str
+    recorded_column: str
+    is_mean: bool = False
+    accepts: Callable | None = None
+
+    def sigma_of(self, scenario):
+        """The standard deviations of its `noise` that a Scenario's estimator assumes."""
+        given = getattr(scenario, self.sigma)
+        if given is None:
+            return tuple(entry.default for entry in self.noise)
+        return given if len(self.noise) > 1 else (given,)
 
 
-def _with_sensors(speed_model, sensors):
-    """The SpeedModel whose Model has these sensors, too."""
-    base = speed_model.model
-    has_gyro = "gyro" in sensors
-    n_u = len(base.inputs)
-    names = [*base.parameters]
-    n_fixed = names.index("mu")  # from μ on they stay the last ones
-    n_last = len(names) - n_fixed
-    bounds = {name: base.parameters[name] for name in names[:n_fixed]}
-    bounds |= GYRO if has_gyro else {}
-    bounds |= {name: base.parameters[name] for name in names[n_fixed:]}
-    has_error = has_gyro and base.motion_noise is not None
+# The simulated sensors
 
-    def own(p):
-        """The parameters of the Model without sensors."""
-        return ca.vertcat(p[:n_fixed], p[-n_last:])
 
-    def f(x, u, p):
-        return base.dynamics(x, u[:n_u], own(p))
+def measured_yaw_rate(dt_s, n_z):
+    """A gyro as a Function that appends its measurement to the n_z entries of z.
 
-    def h(x, u, p):
-        outputs = [base.measurement(x, u[:n_u], own(p))]
-        if has_gyro:
-            error = u[n_u] if has_error else 0
-            outputs.append(p[n_fixed + 1] * f(x, u, p)[2] + p[n_fixed] + error)
-        if "heading" in sensors:
-            outputs.append(x[2])
-        return ca.vertcat(*outputs)
+    It measures s (θ_k - θ_{k-1})/Δt + β + σ w, the mean yaw rate over ground since the last sample,
+    with the scale s and the bias β. In the first sample θ_{k-1} = θ_k.
 
-    model = Model(
-        states=base.states,
-        inputs=(*base.inputs, _ERROR) if has_error else base.inputs,
-        parameters=bounds,
-        outputs=(*base.outputs, *(OUTPUTS[sensor] for sensor in OUTPUTS if sensor in sensors)),
-        f=f,
-        h=h,
-        max_measurement=(*base.limits, *(_LIMITS[name] for name in OUTPUTS if name in sensors)),
-        angles=(OUTPUTS["heading"],) if "heading" in sensors else (),
-        sigma_held=base.sigma_held,
-        motion_noise=_with_gyro_noise(base) if has_error else base.motion_noise,
+    Args:
+        dt_s: Length of a sample Δt [s].
+        n_z: Entries of z before it.
+    """
+
+    @casadi_function(
+        "gyro",
+        z=(n_z, 1),
+        pose=(3, 1),
+        last_yaw=_ONE,
+        bias=_ONE,
+        sigma=_ONE,
+        scale=_ONE,
+        noise=_ONE,
     )
-    return SpeedModel(model, speed_model.noise)
+    def gyro(z, pose, last_yaw, bias, sigma, scale, noise):
+        yaw = pose[2]
+        rate = (yaw - last_yaw) / dt_s
+        error = bias + sigma * noise
+        return dict(z=ca.vertcat(z, scale * rate + error), last_yaw=yaw)
+
+    return gyro
 
 
-def _with_gyro_noise(base):
-    """The MotionNoise of a Model, and that of its gyro: share · ω, and a walk of the bias."""
-    of_base = base.motion_noise
-    n_c = len(of_base.constants)
-    n_u = len(base.inputs)
-    omega = base.inputs.index("omega_radps")
+def measured_yaw(dt_s, n_z):
+    """A heading, as of two antennas, as a Function that appends θ_k + σ w to the n_z entries of z.
 
-    def inputs(u, R, c):
-        mean, variances = of_base.inputs(u[:n_u], R[:n_u], c[:n_c])
-        return ca.vertcat(mean, 0), ca.vertcat(variances, (c[n_c] * u[omega]) ** 2 + _LEAST)
+    `within_a_turn` takes its turns off.
+    """
 
-    def process(u, W, dt_s, c):
-        noise = of_base.process(u[:n_u], W, dt_s, c[:n_c])
-        bias = W.numel() - len(GYRO) - 2
-        walk = c[n_c + 1] ** 2 * dt_s
-        return ca.vertcat(noise[:bias], walk, noise[bias + 1 :])
+    @casadi_function("heading", z=(n_z, 1), pose=(3, 1), sigma=_ONE, noise=_ONE)
+    def heading(z, pose, sigma, noise):
+        return dict(z=ca.vertcat(z, pose[2] + sigma * noise))
 
-    return MotionNoise(of_base.constants | tuning.GYRO, inputs, process)
+    return heading
 
 
-_LEAST = 1e-12  # variance of the gyro's error of a robot that does not turn, besides σ²
+def within_a_turn(n_z, rows):
+    """The measurement z (n_z,) with its yaws, which are at these rows, between -π and π.
+
+    Faults come before: a late measurement lies between two others, not across a full turn.
+    """
+
+    @casadi_function("within_a_turn", z=(n_z, 1))
+    def within_a_turn(z):
+        entries = ca.vertsplit(z)
+        for row in rows:
+            turns = ca.floor(entries[row] / (2 * np.pi) + 0.5)
+            entries[row] -= 2 * np.pi * turns
+        return dict(z=ca.vertcat(*entries))
+
+    return within_a_turn
+
+
+# The records
+
+_BIAS = "gyro_bias_radps"
+_SCALE = "gyro_scale"
+_ERROR = "gyro_error_radps"
+# It measures s θ̇ + β, with a scale s and a bias β.
+GYRO = Sensor(
+    name="gyro",
+    output="gyro_radps",
+    limit=100.0,
+    measures=YAW_RATE,
+    h=lambda of, slope: of[_SCALE] * slope[YAW] + of[_BIAS] + of.get(_ERROR, 0),
+    unknowns=(
+        Unknown(
+            _BIAS, "gyro bias", "rad/s", (-0.2, 0.2), 0.0, 0.05, "gyro_bias_hat_radps", walk=2e-4
+        ),
+        Unknown(_SCALE, "gyro scale", "-", (0.8, 1.25), 1.0, 0.03, "gyro_scale_hat"),
+    ),
+    # Errors of its axis and its timing are in proportion to the yaw rate.
+    error=_ERROR,
+    sigma="sigma_gyro",
+    noise=(Noise("rad/s", 0.02), Noise("-", 0.05, ", share of ω")),
+    measure=measured_yaw_rate,
+    settings=dict(
+        sigma=Setting("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
+        bias=Setting("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
+        scale=Setting("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
+    ),
+    remembers=dict(last_yaw=lambda pose: pose[2]),
+    stream=5,
+    column="gyro_meas_radps",
+    recorded_column="gyro_radps",
+    is_mean=True,
+    accepts=gyro_check.are_accepted,
+)
+# As of two GNSS antennas.
+HEADING = Sensor(
+    name="heading",
+    output="heading_rad",
+    limit=1e8,
+    measures=YAW,
+    h=lambda of, slope: of[YAW],
+    sigma="sigma_heading",
+    noise=(Noise("rad", 0.03),),
+    measure=measured_yaw,
+    settings=dict(sigma=Setting("heading_sigma_rad", "heading noise", 0, 0.2, 0.005)),
+    stream=6,
+    column="heading_meas_rad",
+    recorded_column="heading_rad",
+)
+# {name: Sensor}, in the order in which their measurements follow (x, y, ν, ω).
+SENSORS = {sensor.name: sensor for sensor in (GYRO, HEADING)}
+# What is known of their unknowns before the first sample, by name.
+UNKNOWNS = tuple(unknown for sensor in SENSORS.values() for unknown in sensor.unknowns)
+GUESS = {unknown.name: unknown.guess for unknown in UNKNOWNS}
+SIGMA_GUESS = {unknown.name: unknown.sigma for unknown in UNKNOWNS}
+
+
+def in_order(sensors):
+    """These names of sensors in the order of SENSORS, which is that of their measurements.
+
+    Raises:
+        ValueError: If a sensor is named twice: a robot has one of each.
+    """
+    if len(set(sensors)) < len(sensors):
+        raise ValueError("it should name each sensor once")
+    return tuple(name for name in SENSORS if name in sensors)
+
+
+def records(sensors):
+    """The records of these names of sensors."""
+    return tuple(SENSORS[name] for name in sensors)
+
+
+def sigma_of_sensors(scenario):
+    """Standard deviations of the measurements of a Scenario's sensors, in their order in z."""
+    return tuple(sensor.sigma_of(scenario)[0] for sensor in records(scenario.sensors))
+
+
+def rows_of_yaws(sensors, n_before):
+    """The rows of z at which these sensors measure the yaw, behind n_before other entries."""
+    measured = enumerate(records(sensors), n_before)
+    return tuple(row for row, sensor in measured if sensor.measures == YAW)

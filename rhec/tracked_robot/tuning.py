@@ -99,15 +99,6 @@ SLIP = dict(
     # The mean slip speed to the side is -side_slip_s·νω [s].
     side_slip_s=0.05,
 )
-# Gyro and heading (`rhec.tracked_robot.sensors`).
-SIGMA_GYRO = 0.02  # [rad/s]
-SIGMA_HEADING = 0.03  # [rad]
-GYRO = dict(
-    # Standard deviation of the gyro's error in proportion to the yaw rate of the tracks [1].
-    gyro_share=0.05,
-    # Random walk of the gyro's bias [rad/s/√s].
-    gyro_bias_walk=2e-4,
-)
 SIGMA_SIDE_SLIP_AT_REST = 1e-3  # [m/s], by choice: keeps the variance above 0
 
 
@@ -134,19 +125,6 @@ def name_of_noise(scenario):
 def sigma_v_of(scenario):
     """Standard deviations of the measurements that a Scenario's estimator assumes."""
     return scenario.sigma_v or noise_of(name_of_noise(scenario), scenario).sigma_v
-
-
-def sigma_of_sensors(sensors, sigma_gyro, sigma_heading):
-    """Standard deviations of the sensors' measurements, in their order as outputs."""
-    sigma = dict(gyro=(sigma_gyro or (SIGMA_GYRO,))[0], heading=sigma_heading or SIGMA_HEADING)
-    return tuple(sigma[name] for name in sigma if name in sensors)
-
-
-def gyro_constants(sensors, sigma_gyro):
-    """The constants of the gyro's noise that are not the default ones, by name."""
-    if "gyro" not in sensors or sigma_gyro is None:
-        return {}
-    return dict(gyro_share=sigma_gyro[1])
 
 
 def variances_of(name, scenario):

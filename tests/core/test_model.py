@@ -6,7 +6,7 @@ from oracles import flat
 
 from rhec.core.model import base
 from rhec.tracked_robot import kinematics as model
-from rhec.tracked_robot.sensors import speed_model_of
+from rhec.tracked_robot.speed_models import speed_model_of
 
 SPEED_MODELS = ["parameter", "input"]
 

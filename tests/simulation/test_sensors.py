@@ -8,8 +8,8 @@ import pytest
 import rhec
 from rhec import paper
 from rhec.simulation import closed_loop, fault_signals, faults
-from rhec.tracked_robot.plant import draw_noise
-from rhec.tracked_robot.plant_options import GYRO_NOISE, HEADING_NOISE
+from rhec.tracked_robot.plant import Normal, draw_noise
+from rhec.tracked_robot.sensors import SENSORS
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 BOTH = ("gyro", "heading")
@@ -55,7 +55,8 @@ def test_a_heading_is_measured_up_to_full_turns():
 def test_other_random_streams_stay_as_they_are():
     """The robot of an oracle drives the same path, and the noise of a seed begins the same."""
     plain = closed_loop.noise_and_faults(5, (), 50)
-    gyro, both = (GYRO_NOISE,), (GYRO_NOISE, HEADING_NOISE)
+    gyro_noise, heading_noise = (Normal(SENSORS[name].stream) for name in BOTH)
+    gyro, both = (gyro_noise,), (gyro_noise, heading_noise)
     for others in ((), gyro, both):
         longer = closed_loop.noise_and_faults(5, (), 60, (draw_noise, *others))
         np.testing.assert_array_equal(longer[:50, : plain.shape[1]], plain)

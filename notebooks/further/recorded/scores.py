@@ -10,8 +10,8 @@ from rhec import paper
 from rhec.logs.checks import refuse
 from rhec.logs.recording import delayed, prepare
 from rhec.logs.remarks import UNSURE_YAW_RAD
-from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, SENSORS, TRUE_SPEEDS
+from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
+from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS, measured_of
 from rhec.simulation.fault_signals import corrupted
 
 # Distance driven in a segment from which scores count; before it the yaw has not yet converged.
@@ -257,8 +257,7 @@ def _corrupt(part, faults, track_width_m, sensors, seed):
     if faults:
         measured = measured_of(sensors)
         z = part[measured].to_numpy()
-        ordered = tuple(name for name in SENSORS if name in sensors)
-        z = corrupted(z, faults, part["t_s"], track_width_m, seed, ordered)
+        z = corrupted(z, faults, part["t_s"], track_width_m, seed, sensors)
         # Infinite measurements count as missing, as in a log.
         part[measured] = np.where(np.isfinite(z), z, np.nan)
 
