@@ -13,6 +13,7 @@ import io
 import json
 import os
 import re
+import zlib
 from pathlib import Path
 
 from rhec.files import replacing
@@ -50,12 +51,17 @@ COLOURS = {
     "RHE": BLUE,
     "EKF": VERMILLION,
     "oracle": GREEN,
+    "bounded EKF": ORANGE,
     "soil": SOIL,
     "tolerance": _YELLOW,
     "Q1": ORANGE,
     "Q2": PURPLE,
     "Q3": BLUE,  # all other figures of the RHE use Q3
 }
+
+# What figures and tables call the estimators of `Scenario.estimator`.
+LABELS = {"rhe": "RHE", "ekf": "EKF", "bounded_ekf": "bounded EKF", "oracle": "oracle"}
+_OF_OTHERS = ORANGE, PURPLE, GREEN, SKY, SOIL
 
 RC = {
     "figure.figsize": (COLUMN_IN, 2.2),
@@ -88,6 +94,24 @@ RC = {
     "savefig.dpi": 300,
     "pdf.fonttype": 42,  # TrueType, so that text can be selected
 }
+
+
+def label_of(estimator):
+    """What figures and tables call an estimator: a name of `Scenario.estimator`, or a
+    rhec.Estimator.
+    """
+    return LABELS.get(estimator, estimator) if isinstance(estimator, str) else estimator.label
+
+
+def colour_of(estimator):
+    """The colour of an estimator, by its name or label, or of a rhec.Estimator.
+
+    One that is not in COLOURS and brings none along has a colour that follows from its label, so
+    that it is the same in all figures.
+    """
+    label = label_of(estimator)
+    own = getattr(estimator, "colour", None)
+    return own or COLOURS.get(label, _OF_OTHERS[zlib.crc32(label.encode()) % len(_OF_OTHERS)])
 
 
 def styled(draw):

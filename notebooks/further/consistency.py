@@ -25,12 +25,15 @@ from rhec.simulation.columns import MEASUREMENTS, TRUTH
 from rhec.simulation.offline import SETTLED_S
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
+from rhec.style import label_of
 from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimators import states_of
+from rhec.tracked_robot.kinematics import QUANTITIES
 
 STATES = ("x", "y", "θ", "ν", "μ", "κ")
 _RULES = tuning.RULES_IN_DEFAULT_WORLD
 ESTIMATORS = {  # fields of Scenario
-    f"{estimator.upper()}, {rule}": dict(estimator=estimator, process_noise=rule)
+    f"{label_of(estimator)}, {rule}": dict(estimator=estimator, process_noise=rule)
     for estimator in ("ekf", "rhe")
     for rule in _RULES
 } | {
@@ -68,7 +71,7 @@ def measure(scenario, runs):
     results = []
     for run, recorded in _estimates(scenario, runs):
         estimate = recorded["estimate"]
-        error, P = _errors(run, recorded)
+        error, P = _errors(scenario, run, recorded)
         residuals = offline.columns(run, MEASUREMENTS[:3]) - estimate[:, places]
         y, S = innovations(residuals, P[:, places][:, :, places], R)
         nees = normalised_squared(error, P)
@@ -86,16 +89,21 @@ def _estimates(scenario, runs):
     return zip(runs, every)
 
 
-def _errors(run, recorded, some=slice(None)):
+def _errors(scenario, run, recorded, some=slice(None)):
     """Errors (n, n_x) of the estimates and their covariances (n, n_x, n_x), at some samples.
 
-    An EKF without traction states has n_x = 4; the estimate has six entries all the same. The yaw
-    drift, where it is a seventh state, is not tested.
+    An EKF without traction states has n_x = 4; the estimate has six entries all the same. Other
+    states than (x, y, θ, ν, μ, κ), such as the yaw drift, are not tested.
     """
-    P = recorded["covariance"][some]
-    n_x = min(P.shape[1], len(STATES))
-    error = recorded["estimate"][some, :n_x] - offline.columns(run, TRUTH[:n_x])[some]
-    return error, P[:, :n_x, :n_x]
+    names = [*states_of(scenario)]
+    tested = [place for place, name in enumerate(QUANTITIES) if name in names]
+    rows = [names.index(QUANTITIES[place]) for place in tested]
+    if not rows:
+        expected = f"its covariance should cover states with names of {QUANTITIES}"
+        raise ValueError(f"the estimator {label_of(scenario.estimator)} names {names}; {expected}")
+    truth = offline.columns(run, [TRUTH[place] for place in tested])
+    error = recorded["estimate"][some][:, tested] - truth[some]
+    return error, recorded["covariance"][some][:, rows][:, :, rows]
 
 
 def measure_all(seeds):
@@ -117,7 +125,7 @@ def departure(scenario, runs):
     for run, recorded in _estimates(scenario, runs):
         some = run.columns["t_s"] >= SETTLED_S
         some[np.arange(len(some)) % _EVERY != 0] = False
-        error, P = _errors(run, recorded, some)
+        error, P = _errors(scenario, run, recorded, some)
         nees.append(normalised_squared(error, P))
         squares.append(np.square(error) / np.diagonal(P, axis1=1, axis2=2))
     n_x = error.shape[1]

@@ -10,7 +10,7 @@ import numpy as np
 from notebooks.further.faults import FAMILIES
 from notebooks.plots.parts import BOUND, TOLERANCE, legend_outside, log_axis, note, seed_range
 from rhec import paper
-from rhec.style import COLOURS, DOUBLE_IN, styled
+from rhec.style import DOUBLE_IN, colour_of, styled
 
 _WIDTHS = {"EKF": 2.0, "RHE": 0.8}
 # Limits of the error axis.
@@ -24,7 +24,7 @@ def _draw_errors(axes, error, estimator, before_s):
     # The time before the fault differs between runs; the axis begins where one run has data.
     first = np.flatnonzero(~np.isnan(error).any(axis=0))[0]
     error = error[:, first:]
-    look = dict(color=COLOURS[estimator], linewidth=_WIDTHS[estimator])
+    look = dict(color=colour_of(estimator), linewidth=_WIDTHS[estimator])
     t_s = (first + np.arange(error.shape[1])) * paper.DT_S - before_s
     axes.plot(t_s, np.nanmedian(error, axis=0), label=f"{estimator}: median", **look)
     axes.plot(t_s, np.nanmax(error, axis=0), ":", label=f"{estimator}: largest", **look)
@@ -86,7 +86,7 @@ def fault_overview(table, n):
     for axes, column in ((errors, "max_after_m"), (times, "recovery_s")):
         for place, (_, runs) in enumerate(cases):
             for row in runs.to_dict("records"):
-                colour = COLOURS[row["estimator"]]
+                colour = colour_of(row["estimator"])
                 at = place + (0.2, -0.2)[row["estimator"] == "RHE"]
                 low = row[f"{column}_low"]
                 high = row[f"{column}_high"]
@@ -109,7 +109,7 @@ def fault_overview(table, n):
     errors.set_xlabel(f"largest true error afterwards [m],\ndashed: {paper.TOLERANCE_M} m")
     times.set_xlabel(f"time to recover [s]; right: how many\nof {n} seeds recovered, RHE and EKF")
     for estimator in _WIDTHS:
-        errors.plot([], [], "o-", color=COLOURS[estimator], markersize=2.5, label=estimator)
+        errors.plot([], [], "o-", color=colour_of(estimator), markersize=2.5, label=estimator)
     ring = dict(color="0.3", markersize=3.5, linestyle="none", markerfacecolor="none")
     errors.plot([], [], "o", label="worst seed", **ring)
     title = f"{n} seeds: mean, 95 % interval, worst seed"

@@ -14,7 +14,7 @@ from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fi
 from notebooks.studies.tables import interval_text
 from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
-from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, styled
+from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, colour_of, styled
 
 _TRACTION = LinearSegmentedColormap.from_list("traction", [COLOURS["soil"], "1"])
 _TRACTION_STEP = 0.05
@@ -335,7 +335,7 @@ def _difference(axes, runs):
     difference_m = np.nanmean((both[0] - both[1]).reshape(seconds, _POOLED), axis=1)
     shown_m = np.clip(difference_m, -_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
     for name, side in (("RHE", shown_m < 0), ("EKF", shown_m > 0)):
-        look = dict(color=COLOURS[name], alpha=0.6, linewidth=0, step="mid")
+        look = dict(color=colour_of(name), alpha=0.6, linewidth=0, step="mid")
         axes.fill_between(t_s, np.where(side, shown_m, 0), label=f"{name} is nearer", **look)
     axes.axhline(0, color=BLACK, linewidth=0.6)
     axes.set_ylim(-_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
@@ -375,18 +375,19 @@ def _one_error(axes, name, run):
     """Draw the error of one drive over time; the paper's mean stands in the legend."""
     error_m = run.log["error_m"]
     label = f"{name} (the paper's mean: {REPORTED[name, 'mean_error_m']} m)"
-    axes.plot(run.log["t_s"], error_m, label=label, linewidth=0.8, color=COLOURS[name])
+    colour = colour_of(run.scenario.estimator)
+    axes.plot(run.log["t_s"], error_m, label=label, linewidth=0.8, color=colour)
     # The start is off the path by design; an error that leaves the axis later is told.
     largest_m = error_m[run.log["t_s"] > _START_S].max()
     if largest_m > _MOST_ERROR_M:
-        at = dict(xycoords="axes fraction", color=COLOURS[name], ha="right", va="top")
+        at = dict(xycoords="axes fraction", color=colour, ha="right", va="top")
         at |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
         parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
 
 
 def _many_errors(axes, share, name, drives):
     """Draw median and 95th percentile of the drives' errors, and the share above 0.12 m."""
-    look = dict(color=COLOURS[name])
+    look = dict(color=colour_of(drives[0].scenario.estimator))
     log = drives[0].log
     t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
     _, median, p95 = over_fields(drives, "error_m", _POOLED)
@@ -427,7 +428,7 @@ def violations(table, turns="alternate", world="default"):
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.22 * len(shares)))
     place_of = dict(xycoords=("axes fraction", "data"))
     for place, row in enumerate(shares.itertuples()):
-        colour = COLOURS[row.Index[1]]
+        colour = colour_of(row.Index[1])
         axes.hlines(place, 100 * row.low, 100 * row.high, linewidth=3, color=colour, alpha=0.6)
         axes.plot(100 * row.mean, place, "|", color=colour, markersize=7, markeredgewidth=1.2)
         look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)

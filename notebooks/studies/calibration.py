@@ -62,10 +62,10 @@ _DOWNHILL = {  # {method of scipy.optimize.minimize: options}
 _DIVERGED = 1e12  # an objective that is no number
 # The search works on one vector, sigma = (*sigma_v, *sigma_w); an unknown sets some places of it.
 _N_V = len(paper.SIGMA_V)
-_FILTER = [(0, 1), (2,), (4, 5), (6,), (7,)]  # V of positions and speed, W of pose and speed
-_WINDOW = [*_FILTER, (3,)]  # V of the yaw rate, too, which a filter takes as exact
-_TRACTION = [(8,), (9,)]  # W
-_YAW_DRIFT = [(10,)]  # W
+FILTER = [(0, 1), (2,), (4, 5), (6,), (7,)]  # V of positions and speed, W of pose and speed
+WINDOW = [*FILTER, (3,)]  # V of the yaw rate, too, which a filter takes as exact
+TRACTION = [(8,), (9,)]  # W
+YAW_DRIFT = [(10,)]  # W
 # Soil that slips as much as that under recorded robots, the same below both tracks, and noise that
 # is white: what the models assume.
 SOFT_SOIL = dict(mu_mean=0.9, mu_deviation=0.04, kappa_mean=0.8, kappa_deviation=0.08)
@@ -74,11 +74,12 @@ SOFT_SOIL |= dict(bump_sigma_radps=0.02, rut_length_m=0.0)
 
 
 class Tuned(NamedTuple):
-    """What is tuned under a name of tuned.csv.
+    """What is tuned: an estimator, by its name or of one's own, and what is unknown of its noise.
 
     Attributes:
         fields: The fields of Scenario that make it.
-        unknowns: For each unknown the places that it sets in (*sigma_v, *sigma_w).
+        unknowns: For each unknown the places that it sets in (*sigma_v, *sigma_w), such as
+            FILTER + TRACTION for a filter of (x, y, θ, ν, μ, κ).
         rules: Those by which it is tuned.
     """
 
@@ -89,27 +90,25 @@ class Tuned(NamedTuple):
 
 _ALL = "consistent", "prediction", "tracking", "soft_soil"
 ESTIMATORS = {
-    "rhe": Tuned(dict(estimator="rhe"), _WINDOW + _TRACTION, _ALL),
+    "rhe": Tuned(dict(estimator="rhe"), WINDOW + TRACTION, _ALL),
     "rhe_yaw_drift": Tuned(
-        dict(estimator="rhe", yaw_drift=True), _WINDOW + _TRACTION + _YAW_DRIFT, _ALL
+        dict(estimator="rhe", yaw_drift=True), WINDOW + TRACTION + YAW_DRIFT, _ALL
     ),
     # Without the traction the yaw drift follows the speed.
     "rhe_no_slip_yaw_drift": Tuned(
-        dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), [*_WINDOW, (8,)]
+        dict(estimator=RIVALS["rhe_no_slip_yaw_drift"]), [*WINDOW, (8,)]
     ),
-    "rhe_fixed_traction": Tuned(dict(estimator=RIVALS["rhe_fixed_traction"]), _WINDOW),
-    "rhe_no_slip": Tuned(dict(estimator=RIVALS["rhe_no_slip"]), _WINDOW),
-    "ekf": Tuned(dict(estimator="ekf"), _FILTER, _ALL),
+    "rhe_fixed_traction": Tuned(dict(estimator=RIVALS["rhe_fixed_traction"]), WINDOW),
+    "rhe_no_slip": Tuned(dict(estimator=RIVALS["rhe_no_slip"]), WINDOW),
+    "ekf": Tuned(dict(estimator="ekf"), FILTER, _ALL),
     "augmented_ekf": Tuned(
-        dict(estimator=RIVALS["augmented_ekf"]), _FILTER + _TRACTION, ("prediction", "soft_soil")
+        dict(estimator=RIVALS["augmented_ekf"]), FILTER + TRACTION, ("prediction", "soft_soil")
     ),
-    "bounded_ekf": Tuned(dict(estimator="bounded_ekf"), _FILTER + _TRACTION, _ALL[:3]),
-    "fixed_traction": Tuned(dict(estimator=RIVALS["fixed_traction"]), _FILTER),
-    "traction_oracle": Tuned(dict(estimator=RIVALS["traction_oracle"]), _FILTER),
-    "drift_oracle": Tuned(dict(estimator=RIVALS["drift_oracle"]), _FILTER),
-    "yaw_drift_ekf": Tuned(
-        dict(estimator=RIVALS["yaw_drift_ekf"]), _FILTER + _TRACTION + _YAW_DRIFT
-    ),
+    "bounded_ekf": Tuned(dict(estimator="bounded_ekf"), FILTER + TRACTION, _ALL[:3]),
+    "fixed_traction": Tuned(dict(estimator=RIVALS["fixed_traction"]), FILTER),
+    "traction_oracle": Tuned(dict(estimator=RIVALS["traction_oracle"]), FILTER),
+    "drift_oracle": Tuned(dict(estimator=RIVALS["drift_oracle"]), FILTER),
+    "yaw_drift_ekf": Tuned(dict(estimator=RIVALS["yaw_drift_ekf"]), FILTER + TRACTION + YAW_DRIFT),
 }
 
 
@@ -166,18 +165,25 @@ RULES = {
 SEEDS = dict.fromkeys(RULES, TRAINING_SEEDS) | dict(tracking=_TRACKING_SEEDS)
 
 
-def calibrate(estimator, rule="prediction", **world):
-    """The noise of an estimator by a rule: a row of tuned.csv.
+def calibrate(estimator, rule="prediction"):
+    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, as of `tune`."""
+    found = tune(ESTIMATORS[estimator], rule, _known(estimator, rule))
+    return dict(estimator=estimator, process_noise=rule) | found
+
+
+def tune(tuned, rule="prediction", known=None, **world):
+    """The noise of any estimator by a rule.
 
     Args:
-        estimator: A name in ESTIMATORS.
+        tuned: A Tuned.
         rule: A name in RULES.
+        known: A good (*sigma_v, *sigma_w), if there is one, from which the search begins, too.
         world: Fields of Scenario other than the default world's, for the rule "prediction".
 
     Returns:
-        A dict with the COLUMNS of tuned.csv; sigma_w and sigma_v are tuples.
+        {"sigma_w", "sigma_v": tuples, "objective": that of these, "evaluations": their number,
+        "seeds": those of the training}.
     """
-    tuned = ESTIMATORS[estimator]
     objective = RULES[rule](tuned.fields, **world)
     unused = {*range(_N_V)} - {place for places in tuned.unknowns for place in places}
 
@@ -195,11 +201,10 @@ def calibrate(estimator, rule="prediction", **world):
         tried.append((value if np.isfinite(value) else _DIVERGED, sigma))
         return tried[-1][0]
 
-    search(evaluate, tuned.unknowns, _known(estimator, rule))
+    search(evaluate, tuned.unknowns, known)
     least, best = min(tried)
-    row = dict(estimator=estimator, process_noise=rule) | noise_of(best)
     seeds = f"{SEEDS[rule][0]}-{SEEDS[rule][-1]}"
-    return row | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
+    return noise_of(best) | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
 
 
 def _known(estimator, rule):

@@ -26,6 +26,7 @@ from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.simulation.worlds import WORLDS
+from rhec.style import label_of
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.path import Turns
 
@@ -41,6 +42,7 @@ REPORTED = {  # (estimator, metric): the paper's number
     ("RHE", "is_clean"): 1,
     ("EKF", "is_clean"): 0,
 }
+# Names, or a rhec.Estimator, which is called by its label.
 _ESTIMATORS = ("rhe", "ekf")
 _QUANTITIES_A = {
     "settling_time_s": "settling time [s]",
@@ -136,10 +138,10 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
     sweep = campaign(every, folder).assign(turns=[each.turns for each in every])
     runs = {
         process_noise: {
-            name.upper(): simulate(
-                [scenario(turns, name, number, process_noise) for number in range(drives)]
+            label_of(estimator): simulate(
+                [scenario(turns, estimator, number, process_noise) for number in range(drives)]
             )
-            for name in _ESTIMATORS
+            for estimator in _ESTIMATORS
         }
         for process_noise in PROCESS_NOISES
     }
@@ -148,8 +150,8 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
 
 def rhe_and_ekf(**fields):
     """{"RHE": Run, "EKF": Run} of one Scenario with these fields."""
-    runs = simulate([Scenario(estimator=name, **fields) for name in _ESTIMATORS])
-    return dict(zip(map(str.upper, _ESTIMATORS), runs))
+    runs = simulate([Scenario(estimator=estimator, **fields) for estimator in _ESTIMATORS])
+    return dict(zip(map(label_of, _ESTIMATORS), runs))
 
 
 def on_soft_soil(fields, **others):
@@ -245,7 +247,8 @@ def scenario_b_table(sweep):
     sweep = sweep.assign(is_clean=sweep["violations"] == 0)
     rows = []
     for (turns, process_noise), drives in sweep.groupby(["turns", "process_noise"], sort=False):
-        runs = {name.upper(): table for name, table in drives.groupby("estimator", sort=False)}
+        by_estimator = drives.groupby("estimator", sort=False)
+        runs = {label_of(estimator): table for estimator, table in by_estimator}
         for column, quantity in _QUANTITIES_B.items():
             about = dict(turns=turns, process_noise=process_noise, quantity=quantity)
             for name, table in runs.items():

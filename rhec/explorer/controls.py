@@ -12,6 +12,7 @@ from typing import NamedTuple
 from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import fields_of
+from rhec.style import LABELS
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
@@ -73,7 +74,7 @@ def _fault(duration_s, **settings):
 
 
 # {name in Scenario: label}
-ESTIMATORS = {"rhe": "RHE", "ekf": "EKF", "bounded_ekf": "bounded EKF", "oracle": "oracle"}
+ESTIMATORS = LABELS
 RULES = tuning.RULES_IN_DEFAULT_WORLD
 PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
@@ -212,8 +213,8 @@ def scenario_of(values, estimator, start):
         else:
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
-    is_rhe = estimator == "rhe"
-    settings["sensors"] = settings["sensors"] if is_rhe else ()
+    read = estimator_of(estimator).sensors
+    settings["sensors"] = settings["sensors"] if read is None else read
     takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
     settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
     absent = {*SENSORS} - {*settings["sensors"]}

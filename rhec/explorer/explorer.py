@@ -145,7 +145,7 @@ class Explorer(widgets.VBox):
         estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
         for own in (self.start.estimator, against):
             if own is not None and own not in [key for _, key in estimators]:
-                estimators.append((own if isinstance(own, str) else "custom", own))
+                estimators.append((style.label_of(own), own))
         self.inputs = {key: _input(one, values[key]) for key, one in controls.CONTROLS.items()}
         patch = self.patches[-1] if self.patches else controls.NEW_PATCH
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]

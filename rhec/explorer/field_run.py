@@ -3,16 +3,14 @@
 import numpy as np
 from scipy.ndimage import median_filter
 
-from rhec import paper
-from rhec.explorer.controls import ESTIMATORS
+from rhec import paper, style
 from rhec.explorer.panels import Mark, Panel, Picture, figure_of
-from rhec.style import BLACK, COLOURS, GREY, ORANGE
+from rhec.style import BLACK, COLOURS
 
 ZOOMS = ("whole path", "first row", "worst place")
 DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
 FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 
-_COLOURS = COLOURS | {"bounded EKF": ORANGE}
 # Names of the panels in the rows and columns of the picture.
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
 _MOST_POINTS = 300  # largest number of points of the soil along one side
@@ -49,14 +47,12 @@ _TITLES = {
 
 def name_of(scenario):
     """The name of the estimator in legends."""
-    if not isinstance(scenario.estimator, str):
-        return "custom"
-    return ESTIMATORS.get(scenario.estimator, scenario.estimator)
+    return style.label_of(scenario.estimator)
 
 
 def colour_of(scenario):
     """The colour of the estimator."""
-    return _COLOURS.get(name_of(scenario), GREY)
+    return style.colour_of(scenario.estimator)
 
 
 def places_beside(poses, across_m):
@@ -214,20 +210,20 @@ def _ground(run, soil):
 def _series(kind, run, place):
     """Yield (panel, Mark) for each line of a run."""
     for panel, x, y, look in _SERIES:
-        style = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
+        drawn = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
         if kind and look != "bold":
             continue
         if kind:
-            style |= dict(dash=(2.5, 1.5), alpha=0.6)
+            drawn |= dict(dash=(2.5, 1.5), alpha=0.6)
         if look == "truth" and place > 0:
-            style |= dict(dash=(0.8, 1.2), alpha=0.7)
+            drawn |= dict(dash=(0.8, 1.2), alpha=0.7)
         label = kind + name_of(run.scenario) if panel == "map" else ""
         if (panel, look, place) == ("mu", "truth", 0):
             label = "truth"
         values = run.columns[y]
         if panel == "kkt":
             values = median_filter(values, _KKT_SAMPLES, mode="nearest")
-        yield panel, Mark("line", run.columns[x], values, label=label, **style)
+        yield panel, Mark("line", run.columns[x], values, label=label, **drawn)
 
 
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):

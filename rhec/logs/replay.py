@@ -67,8 +67,9 @@ from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, slipping
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.rhe import sigma_start, window_of
+from rhec.tracked_robot.speed_models import speed_model_of
 
 ESTIMATOR_FIELDS = (
     "process_noise",
@@ -242,7 +243,8 @@ def moved_to_sample(motion, last, z, ages_s, model, dt_s):
 def motion_of(model, names):
     """Function (estimate, z, tau_s) -> (estimate, outputs) that predicts a Model over tau_s [s].
 
-    The inputs are those measured in z, or the estimated inputs where z has no measurement.
+    The inputs are those measured in z, or the estimated inputs where z has no measurement. What is
+    not estimated of a sensor is as its guess.
     """
     estimate = ca.SX.sym("estimate", len(names))
     z = ca.SX.sym("z", len(model.outputs))
@@ -254,10 +256,11 @@ def motion_of(model, names):
         inputs[place] = ca.if_else(valid, z[row], inputs[place])
     u = ca.vertcat(*inputs)
     joint = (*model.states, *model.parameters)
-    s = ca.vertcat(*(values[name] for name in joint))
+    known = sensors.GUESS | values
+    s = ca.vertcat(*(known[name] for name in joint))
     s = interval(model, measured=False).step(s, u, tau_s)
     x, p = ca.vertsplit(s, [0, len(model.states), len(joint)])
-    values |= dict(zip(joint, ca.vertsplit(s)))
+    values |= {name: value for name, value in zip(joint, ca.vertsplit(s)) if name in values}
     results = [ca.vertcat(*values.values()), model.measurement(x, u, p)]
     return ca.Function("motion", [estimate, z, tau_s], results)
 
@@ -361,18 +364,20 @@ def _innovations(how, estimates, stream):
 
 def _model_of(choice):
     """The Model by which an estimator of the paper's robot is predicted."""
-    return window_of(choice).model if choice.estimator in NAMES else SPEED_MODELS["input"].model
+    if choice.estimator in NAMES:
+        return window_of(choice).model
+    return speed_model_of("input", choice.sensors).model
 
 
 def replay_of(scenario):
     """The Replay of a scenario's estimator."""
     choice = Choice.of(scenario)
     model = _model_of(choice)
-    of_sensors = sensors.records(scenario.sensors)
-    unknowns = (unknown.name for sensor in of_sensors for unknown in sensor.unknowns)
+    is_rhe = choice.estimator == "rhe"
+    unknowns = [name for name in sensors.GUESS if is_rhe and name in model.parameters]
     quantities = (*_SIGMA_FIRST, *unknowns, *(YAW_DRIFT,) * scenario.yaw_drift)
     structure = ("named", *choice)
-    if choice.estimator == "rhe":
+    if is_rhe:
         known = (*QUANTITIES, *(name for name in quantities[6:] if name in model.joint_names))
         structure = ("rhe", window_of(choice)._replace(quantities=known))
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
@@ -552,12 +557,13 @@ def replay_scenario(estimator, recording, fields):
             f"{', '.join(ESTIMATOR_FIELDS)}"
         )
     fields = dict(speed_model="slipping") | fields
-    if fields["speed_model"] == "slipping":
-        is_rhe = estimator == "rhe"
-        fields = dict(sensors=recording.sensors if is_rhe else ()) | fields
-        if fields.get("sigma_v") is None:
-            sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
-            fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
+    slips = fields["speed_model"] == "slipping"
+    uses_all = slips and estimator == "rhe"
+    used = recording.sensors if uses_all else getattr(estimator, "sensors", ())
+    fields = dict(sensors=used) | fields
+    if slips and fields.get("sigma_v") is None:
+        sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
+        fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
     for name in fields.get("sensors", ()):
         if name in SENSORS and name not in recording.sensors:
             raise ValueError(

@@ -10,7 +10,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
 from rhec.simulation.columns import POSE, TRUTH, measured_of
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import build_step, estimator_of
+from rhec.tracked_robot.estimators import build_step, estimator_of, states_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 SETTLED_S = 20.0  # by then the exact first guess no longer matters
@@ -88,13 +88,12 @@ def sigma_of_traction(run):
     The estimator runs again, and is compiled if necessary.
 
     Returns:
-        {"mu", "kappa": standard deviations (n,)}; empty for an estimator of other quantities than
-        (x, y, θ, ν, μ, κ).
+        {"mu", "kappa": standard deviations (n,)}, as far as they are among its states.
     """
-    choice = Choice.of(run.scenario)
-    states = estimator_of(choice.estimator).states(choice)
-    if tuple(states) != tuple(QUANTITIES):
+    states = states_of(run.scenario)
+    places = {name: states.index(name) for name in ("mu", "kappa") if name in states}
+    if not places:
         return {}
     recorded = run_estimator(run.scenario, run, "estimate", "covariance")
     variances = np.diagonal(recorded["covariance"], axis1=1, axis2=2)
-    return {name: np.sqrt(variances[:, QUANTITIES.index(name)]) for name in ("mu", "kappa")}
+    return {name: np.sqrt(variances[:, place]) for name, place in places.items()}

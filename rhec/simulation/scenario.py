@@ -174,7 +174,8 @@ class Scenario:
     """How far the point about which the robot turns lies ahead of its middle, where the antenna of
     the GNSS is [m]."""
     sensors: options.Sensors = ()
-    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe"."""
+    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe", and
+    for a rhec.Estimator that reads just these."""
     gyro_sigma_radps: valid.NotNegative = 0.01
     """Standard deviation of the error of the gyro's mean over a sample, where `sensors` has a gyro
     [rad/s]."""
@@ -257,8 +258,9 @@ def _check_deviation(scenario, name):
 def _check_fits_estimator(scenario):
     """Refuse `sensors`, `yaw_drift`, `faults` and `sigma_w` that do not fit the estimator."""
     estimator = scenario.estimator
-    if scenario.sensors and estimator != "rhe":
-        expected = f"for the estimator {valid.shown(estimator)} it should be ()"
+    read = estimator_of(estimator).sensors
+    if read not in (None, scenario.sensors):
+        expected = f"for the estimator {valid.shown(estimator)} it should be {read!r}"
         raise ValueError(f"sensors was {scenario.sensors!r}; {expected}")
     if scenario.yaw_drift and not estimator_of(estimator).takes_yaw_drift:
         expected = f"for the estimator {valid.shown(estimator)} it should be False"

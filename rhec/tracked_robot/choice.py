@@ -62,6 +62,8 @@ class EstimatorRecord(NamedTuple):
     states: Callable[[Choice], tuple] = lambda choice: ()  # names that its covariance covers
     n_sigma_w: Callable[[Choice], int] = lambda choice: 0
     told: tuple[str, ...] = ()  # names of TOLD that its step takes
+    # Names of the sensors that it reads besides GNSS and encoders; None: all that the robot has.
+    sensors: tuple[str, ...] | None = ()
     takes_yaw_drift: bool = False  # whether a Scenario's `yaw_drift` may be True
     # whether its step has a result `yaw_drift`
     has_yaw_drift: Callable[[Choice], bool] = lambda choice: False

@@ -5,6 +5,7 @@ from typing import Literal, get_args
 import casadi as ca
 
 from rhec.tracked_robot import filters, rhe
+from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.own_estimator import Estimator
 
 # In the order of menus and messages.
@@ -28,6 +29,12 @@ _ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _oracle().row}
 def estimator_of(estimator):
     """The EstimatorRecord of a name; one of the user's own brings it along."""
     return _ESTIMATORS[estimator] if isinstance(estimator, str) else estimator.row
+
+
+def states_of(scenario):
+    """Names of what the covariance of a Scenario's estimator covers, in its order."""
+    choice = Choice.of(scenario)
+    return tuple(estimator_of(choice.estimator).states(choice))
 
 
 def build_step(choice):

@@ -1,6 +1,7 @@
 """An estimator of one's own in the place of the paper's, for `Scenario.estimator`."""
 
 import functools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,8 +14,9 @@ from rhec.core._casadi.validation import refuse
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
 from rhec.tracked_robot import choice, tuning
 from rhec.tracked_robot.choice import TOLD
-from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
+from rhec.tracked_robot.kinematics import MEASURED, QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START
+from rhec.tracked_robot.sensors import SENSORS, in_order, sigma_of_sensors
 
 _ONE = (1, 1)
 _INPUTS = MEMORY, "z_N"
@@ -27,11 +29,12 @@ _KNOWN_FIRST = (*QUANTITIES, YAW_DRIFT)
 class Estimator(OwnStep):
     """An estimator of one's own: one sample as a CasADi Function, and its first memory.
 
-    The first two inputs of `step` are its memory and the measurement z = (x, y, ν, ω), its first
-    two results the next memory and the estimate (x, y, θ, ν, μ, κ), whatever they are called. What
-    it may have besides goes by name. It may take
+    The first two inputs of `step` are its memory and the measurement z = (x, y, ν, ω), with those
+    of its `sensors` behind; its first two results are the next memory and the estimate
+    (x, y, θ, ν, μ, κ), whatever they are called. What it may have besides goes by name. It may take
 
-    - `V` (4): the variances of the measurement noise, from the Scenario's `sigma_v`,
+    - `V` (as long as z): the variances of the measurement noise, from the Scenario's `sigma_v` and
+      the noise that it assumes of sensors, such as `sigma_gyro`,
     - `W` (n): the variances of its process noise, from the Scenario's `sigma_w` or `process_noise`,
     - `mean_traction` (2): the field's mean (μ, κ), which no recorded log has,
     - `traction` (2), `yaw_drift` (1) and `truth` (6): the true (μ, κ), yaw drift [rad/m] and
@@ -55,6 +58,10 @@ class Estimator(OwnStep):
         states: Names of what the covariance covers, in its order.
         noises: {process_noise: (sigma_w, sigma_v)}: W, and V where `sigma_v` is None, by the rules
             of `Scenario.process_noise`. None: `sigma_w` has to be given.
+        sensors: Names of the sensors that it reads, those of `Scenario.sensors`. In whatever order
+            they are given, z has them in the order of `help(rhec.Scenario)`.
+        label: What figures and tables call it; None: by the name of its Function.
+        colour: Its colour in figures, such as "#009E73"; None: one that follows from the label.
 
     Raises:
         ValueError: If names or lengths do not fit; one sentence.
@@ -63,9 +70,20 @@ class Estimator(OwnStep):
     first: ca.Function | None = None
     states: Sequence[str] = ()
     noises: Mapping[str, tuple] | None = None
+    sensors: Sequence[str] = ()
+    label: str | None = None
+    colour: str | None = None
 
-    _carried: ClassVar[tuple] = ("first", "_first_key", "states", "noises")
-    signals: ClassVar[dict] = dict(z_N=(4, 1), V=(4, 1), W=None) | TOLD
+    _carried: ClassVar[tuple] = (
+        "first",
+        "_first_key",
+        "states",
+        "noises",
+        "sensors",
+        "label",
+        "colour",
+    )
+    signals: ClassVar[dict] = dict(z_N=None, V=None, W=None) | TOLD
     results: ClassVar[dict] = dict(estimate=(6, 1), covariance=None, accepted=(4, 1), ok=_ONE)
     results |= dict(kkt=_ONE, deviance=_ONE, restart=_ONE, yaw_drift=_ONE)
 
@@ -73,6 +91,12 @@ class Estimator(OwnStep):
         if isinstance(self.step, ca.Function):
             object.__setattr__(self, "step", _named(self.step))
         super().__post_init__()
+        self._check_sensors()
+        object.__setattr__(self, "label", self.label or self.step.name())
+        if not isinstance(self.label, str):
+            refuse("label was", self.label, "it should be text, or None")
+        if self.colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", str(self.colour)):
+            refuse("colour was", self.colour, "it should be text such as '#009E73', or None")
         size = self.step.size_in(MEMORY)
         check_sizes("input", {MEMORY: size}, {MEMORY: (size[0], 1)})
         check_sizes("result", results_of(self.step), {MEMORY: size})
@@ -92,6 +116,14 @@ class Estimator(OwnStep):
                 refuse(f"sigma_w of {rule!r} was", noise.sigma_w, f"it should have {n_w} entries")
         object.__setattr__(self, "noises", noises)
 
+    def _check_sensors(self):
+        sensors = tuple(self.sensors)
+        if not {*sensors} <= {*SENSORS} or len({*sensors}) < len(sensors):
+            refuse("sensors was", self.sensors, f"it should name some of {(*SENSORS,)}, each once")
+        object.__setattr__(self, "sensors", in_order(sensors))
+        n_z = len(MEASURED) + len(sensors)
+        check_sizes("input", inputs_of(self.step), dict(z_N=(n_z, 1), V=(n_z, 1)))
+
     def _check_first(self, size):
         room = max(0, size[0] - len(QUANTITIES))
         if len(self.memory) > room:
@@ -109,7 +141,8 @@ class Estimator(OwnStep):
 
     @property
     def _state(self):
-        return self.key, self.memory, self._first_key, self.states, tuple(self.noises.items())
+        noises = tuple(self.noises.items())
+        return self.key, self.memory, self._first_key, self.states, noises, self.sensors
 
     @functools.cached_property
     def _first_key(self):
@@ -130,13 +163,15 @@ class Estimator(OwnStep):
             states=lambda choice: self.states,
             n_sigma_w=lambda choice: self._n_sigma_w,
             told=tuple(name for name in TOLD if name in taken),
+            sensors=self.sensors,
             has_yaw_drift=lambda choice: "yaw_drift" in self.step.name_out(),
         )
 
     def _settings(self, scenario):
-        if self._n_sigma_w:
-            return tuning.variances_of(self, scenario)
-        return dict(V=np.square(tuning.sigma_v_of(scenario)))
+        V = np.square((*tuning.sigma_v_of(scenario), *sigma_of_sensors(scenario)))
+        if not self._n_sigma_w:
+            return dict(V=V)
+        return tuning.variances_of(self, scenario) | dict(V=V)
 
     def _init(self, choice, guess, sigma=SIGMA_START):
         if self.first:

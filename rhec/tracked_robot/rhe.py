@@ -145,6 +145,7 @@ ESTIMATORS = {
         n_sigma_w=lambda choice: (
             speed_model_of(choice.speed_model, yaw_drift=choice.yaw_drift).n_sigma_w
         ),
+        sensors=None,
         takes_yaw_drift=True,
         has_yaw_drift=lambda choice: choice.yaw_drift,
     )

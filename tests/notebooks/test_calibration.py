@@ -75,6 +75,16 @@ def test_a_rule_finds_all_that_the_estimator_uses_of_w_and_v(estimator, rule, bo
     np.testing.assert_allclose(scenario.sigma_v, (*[0.0123] * 3, of_yaw_rate), rtol=0.05)
 
 
+def test_an_estimator_of_ones_own_is_tuned_by_the_same_rules(bowl):
+    """It has W of two states, and uses V of x and y alone."""
+    tuned = calibration.Tuned(dict(estimator="of one's own"), [(0, 1), (4,), (5,)])
+    found = calibration.tune(tuned, "consistent")
+    np.testing.assert_allclose(found["sigma_w"], [0.0123] * 2, rtol=0.05)
+    np.testing.assert_allclose(found["sigma_v"][:2], [0.0123] * 2, rtol=0.05)
+    assert found["sigma_v"][2:] == rhec.paper.SIGMA_V[2:]
+    assert len(bowl) == found["evaluations"]
+
+
 @pytest.mark.parametrize("rule", ["consistent", "prediction", "tracking"])
 def test_rhe_and_ekf_are_tuned_with_equal_care(rule, bowl):
     """The same bounds, and as many evaluations for each unknown."""

@@ -10,6 +10,7 @@ from helpers import no_compiler
 
 import rhec
 from rhec.simulation.offline import run_estimator
+from rhec.style import colour_of, label_of
 
 SHORT = rhec.Scenario(duration_s=10.0)
 ONE = (1, 1)
@@ -173,3 +174,82 @@ def test_what_it_brings_has_to_fit():
             memory=(),
             first=ca.Function("f", [ca.SX.sym("guess", 6)], [ca.SX(2, 1)], ["guess"], ["memory"]),
         )
+
+
+# Sensors, and what figures call it
+
+
+def dead_reckoning(sensors=("gyro",), **options):
+    """An estimator with a state for the yaw, which turns by the gyro, and takes all else."""
+    n_z = 4 + len(sensors)
+    names = dict(memory=6, z=n_z, V=n_z)
+    given = {name: ca.SX.sym(name, size) for name, size in names.items()}
+    z, V = given["z"], given["V"]
+    yaw = given["memory"][2] + 0.2 * z[4]
+    estimate = ca.vertcat(z[:2], yaw, z[2], ca.sqrt(V[4]), 1)
+    results = dict(memory=estimate, estimate=estimate)
+    step = ca.Function(
+        "by_gyro", [*given.values()], [*results.values()], [*given], [*results], NAMED
+    )
+    return rhec.Estimator(step, sensors=sensors, **options)
+
+
+EXACT_GYRO = dict(gyro_sigma_radps=0.0, gyro_bias_radps=0.0, gyro_scale=1.0)
+
+
+def test_it_reads_the_sensors_that_it_names():
+    """An exact gyro's mean rates add up to the yaw; a heading stands behind it in z."""
+    for sensors in (("gyro",), ("heading", "gyro")):
+        fields = dict(sensors=sensors, sigma_gyro=(0.125, 0.0), **EXACT_GYRO)
+        with no_compiler():
+            run = rhec.simulate(
+                dataclasses.replace(SHORT, estimator=dead_reckoning(sensors), **fields)
+            )
+        np.testing.assert_allclose(run.columns["theta_hat_rad"], run.columns["theta_rad"])
+        assert set(run.columns["mu_hat"]) == {0.125}
+
+
+def test_it_replays_a_log_with_its_sensors_and_no_other():
+    own = dead_reckoning()
+    fields = dict(estimator=own, sensors=("gyro",), duration_s=60.0, **EXACT_GYRO)
+    run = rhec.simulate(rhec.Scenario(**fields))
+    estimates = rhec.replay(run.log, estimator=own, first_yaw_rad=0.0)
+    np.testing.assert_allclose(estimates["theta_hat_rad"], run.log["theta_rad"], atol=1e-9)
+    with pytest.raises(ValueError, match=r"^sensors was \('gyro',\); the log has no numbers in"):
+        rhec.replay(run.log.drop(columns="gyro_meas_radps"), estimator=own)
+
+
+@pytest.mark.parametrize("sensors", [(), ("heading",), ("gyro", "heading")])
+def test_a_robot_with_other_sensors_is_refused(sensors):
+    with pytest.raises(ValueError) as refused:
+        rhec.Scenario(estimator=dead_reckoning(), sensors=sensors)
+    assert str(refused.value).startswith(f"sensors was {sensors!r}; for the estimator Estimator(")
+    assert str(refused.value).endswith("it should be ('gyro',)")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (dict(sensors=("lidar",)), "sensors was ('lidar',); it should name some of ('gyro', "),
+        (dict(sensors=("gyro", "gyro")), "sensors was ('gyro', 'gyro'); it should name some of"),
+        (dict(sensors=("gyro",)), "step has the input 'z_N' of shape (4, 1); it should have (5, 1"),
+        (dict(label=1), "label was 1; it should be text"),
+        (dict(colour="blue"), "colour was 'blue'; it should be text such as '#009E73', or None"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_sentence(options, sentence):
+    with pytest.raises(ValueError) as refused:
+        rhec.Estimator(step_of(*PLAIN), **options)
+    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+def test_label_and_colour_are_those_of_its_function_or_its_own_and_change_no_run():
+    plain, named = (
+        rhec.Estimator(step_of(*PLAIN), **options)
+        for options in ({}, dict(label="UKF", colour="#123456"))
+    )
+    assert label_of(plain) == "mine" and colour_of(plain) == colour_of("mine")
+    assert label_of(named) == "UKF" and colour_of(named) == "#123456" != colour_of("UKF")
+    assert pickle.loads(pickle.dumps(named)).colour == named.colour
+    assert plain == named
+    assert colour_of("rhe") == colour_of("RHE") != colour_of("ekf")

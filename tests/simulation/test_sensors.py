@@ -7,8 +7,10 @@ import pytest
 
 import rhec
 from rhec import paper
+from rhec.explorer import controls
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.tracked_robot.plant import Normal, draw_noise
+from rhec.tracked_robot.rhe import settings_of
 from rhec.tracked_robot.sensors import SENSORS
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -66,6 +68,30 @@ def test_other_random_streams_stay_as_they_are():
         for others in (gyro, both)
     )
     np.testing.assert_array_equal(alone, first)
+
+
+def test_sensors_come_in_the_order_of_their_measurements():
+    """A fault of a gyro touches the gyro, in whatever order the sensors were named."""
+    backwards = dataclasses.replace(SHORT, sensors=BOTH[::-1])
+    assert backwards == SHORT and backwards.sensors == BOTH
+    live = rhec.RHE(sensors=BOTH[::-1])
+    assert live.model.outputs[4:] == ("gyro_radps", "heading_rad")
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_all_that_belongs_to_a_sensor_is_there(name):
+    """Parameters and sliders of its noise, an argument of the live RHE, and a channel of faults."""
+    sensor = SENSORS[name]
+    parameters = {setting.parameter for setting in sensor.settings.values()}
+    assert {sensor.sigma, *parameters} <= {field.name for field in dataclasses.fields(SHORT)}
+    assert parameters <= controls.CONTROLS.keys()
+    assert (name,) in dict(controls.CONTROLS["sensors"].options).values()
+    noise = (0.5, 0.25)[: len(sensor.noise)]
+    fields = {sensor.sigma: noise if len(noise) > 1 else noise[0]}
+    live = rhec.RHE(sensors=(name,), **fields)
+    assert live.settings["V"][4] == 0.25
+    assert settings_of(rhec.Scenario(sensors=(name,), **fields))["V"][4] == 0.25
+    assert rhec.Fault(kind="dead", channel=name).channel == name
 
 
 @pytest.mark.nightly(keep=1)
