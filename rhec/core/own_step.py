@@ -70,13 +70,13 @@ class OwnStep:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return self._state == other._state
+        return self.identity == other.identity
 
     def __hash__(self) -> int:
-        return hash(self._state)
+        return hash(self.identity)
 
     @property
-    def _state(self):
+    def identity(self) -> tuple[object, ...]:
         """All that tells it from others."""
         return self.key, self.memory
 

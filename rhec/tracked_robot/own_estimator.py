@@ -140,7 +140,8 @@ class Estimator(OwnStep):
             raise ValueError(f"first returned {self.first.size_out(0)}; {expected}")
 
     @property
-    def _state(self):
+    def identity(self) -> tuple[object, ...]:
+        """All that tells it from others; label and colour change no run."""
         noises = tuple(self.noises.items())
         return self.key, self.memory, self._first_key, self.states, noises, self.sensors
 

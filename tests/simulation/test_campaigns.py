@@ -876,10 +876,66 @@ def test_simulate_refuses_what_is_no_scenario(scenario, sentence):
         rhec.simulate(scenario)
 
 
+# Readings
+
+
+def largest_error_m(run):
+    return run.columns["error_true_m"].max()
+
+
+def never_read(run):
+    raise LookupError("nothing there")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_reading_is_a_column_of_what_a_function_says_of_each_run(workers):
+    scenarios = short()
+    table = rhec.campaign(scenarios, workers=workers, readings=dict(largest_m=largest_error_m))
+    runs = rhec.simulate(scenarios)
+    assert [*table["largest_m"]] == [run.columns["error_true_m"].max() for run in runs]
+    assert_equal_rows(table.drop(columns="largest_m"), rhec.campaign(scenarios, workers=1))
+
+
+def test_a_run_that_failed_or_cannot_be_read_has_no_reading():
+    table = rhec.campaign([SHORT, BROKEN], readings=dict(largest_m=largest_error_m))
+    assert [*np.isnan(table["largest_m"])] == [False, True]
+    table = rhec.campaign([SHORT], readings=dict(none=never_read))
+    assert table["error"][0] == "LookupError: nothing there" and np.isnan(table["none"][0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (dict(readings=largest_error_m), "readings was <function largest_error_m"),
+        (dict(readings=dict(a=1)), "readings was {'a': 1}; it should be a dict of names to"),
+        (dict(readings=dict(seed=largest_error_m)), "a name in readings was 'seed'; the table has"),
+        (dict(readings=dict(rms_mu=largest_error_m)), "a name in readings was 'rms_mu'; the table"),
+        (dict(readings=dict(a=largest_error_m), folder="rows"), "folder was 'rows'; with readings"),
+    ],
+)
+def test_what_is_no_reading_is_refused_in_one_sentence(arguments, sentence):
+    with pytest.raises(ValueError) as refused:
+        rhec.campaign([SHORT], **arguments)
+    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+def test_estimators_of_one_step_that_begin_otherwise_are_other_rows():
+    """Their first memories and their W are what they bring along, beside the step."""
+    memory, z, W = ca.SX.sym("memory", 6), ca.SX.sym("z", 4), ca.SX.sym("W", 1)
+    estimate = ca.vertcat(z[:2], memory[2], z[2], ca.sqrt(W), 1)
+    names = ["memory", "z", "W"], ["memory", "estimate"], {"allow_duplicate_io_names": True}
+    step = ca.Function("by_w", [memory, z, W], [estimate, estimate], *names)
+    own = [rhec.Estimator(step, noises=dict(prediction=((w,), None))) for w in (0.25, 0.5)]
+    table = rhec.campaign([dataclasses.replace(SHORT, estimator=each) for each in own])
+    assert table["rms_mu"][0] > table["rms_mu"][1]
+    keys = {store.scenario_key(dataclasses.replace(SHORT, estimator=each)) for each in own}
+    assert len(keys) == 2
+
+
 # Memory
 
 
-def finished(missing, workers):
+def finished(missing, workers, readings):
     """In place of the runs: their rows, in parts."""
     keys = [*missing]
     for begin in range(0, len(keys), 300):

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, GetPydanticSchema, WrapValidator
 
 from rhec.core._casadi import compiled
-from rhec.core._casadi.validation import Whole, checked
+from rhec.core._casadi.validation import Whole, checked, refuse
 from rhec.simulation.campaigns import store
 from rhec.simulation.campaigns.batch import Plan, compile_lanes, run_in_lanes
 from rhec.simulation.campaigns.workers import get_workers, is_worth_spreading, map_tasks
+from rhec.simulation.metrics import METRICS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import as_list, simulate
 
@@ -47,7 +48,10 @@ _Workers = Annotated[
 
 @checked
 def campaign(
-    scenarios: Any, folder: Path | None = None, workers: _Workers | None = None
+    scenarios: Any,
+    folder: Path | None = None,
+    workers: _Workers | None = None,
+    readings: Any = None,
 ) -> "pd.DataFrame":
     """Run scenarios and return a table with one row per run.
 
@@ -67,12 +71,15 @@ def campaign(
             again.
         workers: Number of processes, 1 to 1024; 1 is this process. Or a
             concurrent.futures.Executor, which stays yours: it is neither started nor ended here.
+        readings: {name: function of a rhec.Run that returns a number}, which become columns, for
+            what the metrics do not report. Other processes must be able to import the functions. A
+            folder keeps no readings.
 
     Returns:
         A DataFrame with one row for each scenario, in their order: the parameters in which the
-        scenarios differ, the metrics (`Run.metrics`), and `error`, which is "" or the reason of a
-        failure. The metrics of a failed run are NaN; its `solver_ok` is False. The parameters that
-        are the same in all scenarios are in the dict `attrs` of the table.
+        scenarios differ, the metrics (`Run.metrics`), the readings, and `error`, which is "" or the
+        reason of a failure. The metrics of a failed run are NaN; its `solver_ok` is False. The
+        parameters that are the same in all scenarios are in the dict `attrs` of the table.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -85,14 +92,30 @@ def campaign(
     import pandas as pd  # imported here, because workers do not need it
 
     scenarios = as_list(scenarios, "scenarios")
-    rows, places = _driven(scenarios, folder, workers)
+    readings = _checked_readings(readings, folder)
+    rows, places = _driven(scenarios, folder, workers, readings)
     varied, constant = _varied_and_constant(scenarios)
     table = pd.DataFrame(varied | rows.take(places), copy=False)
     table.attrs = constant
     return table
 
 
-def _driven(scenarios, folder, workers):
+def _checked_readings(readings, folder):
+    """The readings as a dict; what is none is refused."""
+    if readings is None:
+        return {}
+    if not isinstance(readings, dict) or not all(map(callable, readings.values())):
+        refuse("readings was", readings, "it should be a dict of names to functions of a Run")
+    for name in readings:
+        if name in METRICS or name in Scenario.__dataclass_fields__ or name == "error":
+            refuse("a name in readings was", name, "the table has that column without it")
+    if folder is not None and readings:
+        expected = "with readings it should be None, since a folder keeps metrics alone"
+        raise ValueError(f"folder was {str(folder)!r}; {expected}")
+    return readings
+
+
+def _driven(scenarios, folder, workers, readings):
     """Return the Rows of all scenarios, and their places in these.
 
     What only the runs need, such as the keys, ends with this function: of a long campaign it would
@@ -100,7 +123,7 @@ def _driven(scenarios, folder, workers):
     """
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
-    rows = store.Rows()
+    rows = store.Rows(readings)
     keys = [*map(store.scenario_key, scenarios)]
     if rows_folder:
         for kept in store.load_rows(rows_folder, {*keys}):
@@ -109,13 +132,13 @@ def _driven(scenarios, folder, workers):
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
     with (
         _progress_bar(total, total - len(missing)) as progress,
-        contextlib.closing(_run_all(missing, workers)) as results,
+        contextlib.closing(_run_all(missing, workers, readings)) as results,
     ):
         try:
             for new_rows in results:
                 if compiled.compiler() != compiler:
                     # The compiler failed. Uncompiled rows differ in the last bits, so start again.
-                    return _driven(scenarios, folder, workers)
+                    return _driven(scenarios, folder, workers, readings)
                 rows.add(new_rows)
                 if rows_folder:
                     store.save_rows(rows_folder, new_rows)
@@ -176,7 +199,7 @@ def _progress_bar(total, done):
             timer.cancel()
 
 
-def _run_all(scenarios, workers):
+def _run_all(scenarios, workers, readings):
     """Yield {key: row} for parts of {key: scenario} as they finish."""
     if not scenarios:
         return
@@ -185,20 +208,20 @@ def _run_all(scenarios, workers):
     if pool is None:
         for scenario in plan.worth_lanes():
             compile_lanes(scenario)
-        run_here = functools.partial(_run_task, mean_samples=plan.mean_samples)
+        run_here = functools.partial(_run_task, mean_samples=plan.mean_samples, readings=readings)
         yield from map(run_here, plan.tasks(plan.samples_per_task))
     else:
-        yield from _run_on_workers(pool, plan)
+        yield from _run_on_workers(pool, plan, readings)
 
 
-def _run_on_workers(pool, plan):
+def _run_on_workers(pool, plan, readings):
     """Yield {key: row} from workers, which may die.
 
     Tasks that were pending when a worker died run again in smaller parts, at first as many at a
     time as before, then alone, until the parts are single runs. Thus a run that kills its worker
     is found, and work that others kill again and again is done in the end.
     """
-    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples)
+    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples, readings=readings)
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, plan.worth_lanes()):
         yield {}  # lets the caller check the compiler
@@ -253,19 +276,29 @@ def _one_by_one(pool, function, tasks):
         yield from map_tasks(pool, function, [task])
 
 
-def _run_task(scenarios, mean_samples):
+def _run_task(scenarios, mean_samples, readings):
     """Return {key: row} of {key: scenario}; `mean_samples` is that of the campaign's Plan."""
-    in_lanes = run_in_lanes(scenarios, mean_samples)
-    rows = {}
-    for key, scenario in scenarios.items():
-        rows[key] = in_lanes[key] | dict(error="") if key in in_lanes else _run_one(scenario)
-    return rows
+    row_of = functools.partial(_row_of, readings)
+    in_lanes = run_in_lanes(scenarios, mean_samples, row_of)
+    return {
+        key: in_lanes[key] if key in in_lanes else _run_one(scenario, row_of)
+        for key, scenario in scenarios.items()
+    }
 
 
-def _run_one(scenario):
-    """Return the row of a run: its metrics, or the reason of its failure."""
+def _row_of(readings, run):
+    """Return the row of a Run: its metrics and readings, or the reason why a reading failed."""
     try:
-        return simulate(scenario).metrics | dict(error="")
+        read = {name: float(reading(run)) for name, reading in readings.items()}
+        return run.metrics | read | dict(error="")
+    except Exception as error:  # a function of the user's must not stop the other runs
+        return store.failed_row(_reason(error))
+
+
+def _run_one(scenario, row_of):
+    """Return the row of a run, or the reason of its failure."""
+    try:
+        return row_of(simulate(scenario))
     except Exception as error:  # one failing run must not stop the others
         return store.failed_row(_reason(error))
 

@@ -54,7 +54,7 @@ def scenario_key(scenario):
 def _canonical_text(value):
     """Return a text that is unique for a value."""
     if isinstance(value, OwnStep):
-        return repr((value.key, value.memory))
+        return repr(value.identity)
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
     if is_dataclass(value):
@@ -90,8 +90,8 @@ class Rows:
     A campaign of 100,000 runs keeps all of them until it returns its table.
     """
 
-    def __init__(self):
-        self._names = list(example_metrics())
+    def __init__(self, readings=()):
+        self._examples = example_metrics() | dict.fromkeys(readings, np.nan)
         self._places = {}  # {key: place of its row}
         self._metrics = array("d")  # row after row
         self._errors = {}  # {place: reason} of failed runs
@@ -106,8 +106,8 @@ class Rows:
             self._errors.pop(place, None)
             if row["error"]:
                 self._errors[place] = row["error"]
-            begin = place * len(self._names)  # the end of the array, if the row is new
-            values = array("d", [row[name] for name in self._names])
+            begin = place * len(self._examples)  # the end of the array, if the row is new
+            values = array("d", [row.get(name, np.nan) for name in self._examples])
             self._metrics[begin : begin + len(values)] = values
 
     def places(self, keys):
@@ -117,15 +117,16 @@ class Rows:
         return places
 
     def take(self, places):
-        """Return {name: values (n,)} at these places: metrics with their types, and `error`.
+        """Return {name: values (n,)} at these places: metrics with their types, readings, and
+        `error`.
 
         A whole number of a failed run is NaN, which makes its column one of floats. The rows are
         gone after that, so that no campaign holds all of them twice.
         """
         columns = {}
-        table = np.frombuffer(self._metrics).reshape(-1, len(self._names))[places]
+        table = np.frombuffer(self._metrics).reshape(-1, len(self._examples))[places]
         self._metrics = array("d")
-        for values, (name, example) in zip(table.T, example_metrics().items()):
+        for values, (name, example) in zip(table.T, self._examples.items()):
             if isinstance(example, bool | int) and np.isfinite(values).all():
                 values = values.astype(type(example))
             columns[name] = values
