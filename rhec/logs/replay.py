@@ -81,8 +81,7 @@ ESTIMATOR_FIELDS = (
     "arrival_mean",
     "yaw_drift",
     "sensors",
-    "sigma_gyro",
-    "sigma_heading",
+    *(sensor.sigma for sensor in sensors.SENSORS.values()),
 )
 N_HEADINGS = 8  # directions that are tried where the initial yaw is unknown
 CLEARLY = 1e-6  # share by which the innovations of a worse one are larger

@@ -110,8 +110,11 @@ class Sensor:
     accepts: Callable | None = None
 
     def sigma_of(self, scenario):
-        """The standard deviations of its `noise` that a Scenario's estimator assumes."""
-        given = getattr(scenario, self.sigma)
+        """The standard deviations of its `noise` that an estimator assumes.
+
+        They are those of a Scenario, or of what has its parameters; else the default ones.
+        """
+        given = getattr(scenario, self.sigma, None)
         if given is None:
             return tuple(entry.default for entry in self.noise)
         return given if len(self.noise) > 1 else (given,)

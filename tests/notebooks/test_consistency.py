@@ -1,11 +1,13 @@
 """NEES and NIS: estimators that know how sure they may be pass, others do not."""
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import SIMPLE_WORLD
 from scipy import stats
 
+import rhec
 from notebooks.further import consistency
 from notebooks.rivals import RIVALS
 from notebooks.studies import calibration
@@ -88,6 +90,27 @@ def test_the_traction_oracle_is_nearly_consistent_and_the_printed_ekf_is_not(run
     assert 0.8 < told.nis_position[:, later].mean() / 2 < 1.2
     assert printed.nis_position[:, later].mean() / 2 < 0.1
     assert told.states == ("x", "y", "θ", "ν") and told.errors.shape == (3, 300, 4)
+
+
+def with_states_in_order(own, order):
+    """A rhec.Estimator whose covariance covers the same states in another order."""
+    inputs = own.step.mx_in()
+    results = dict(zip(own.step.name_out(), own.step.call(inputs)))
+    results["covariance"] = results["covariance"][order, order]
+    names = own.step.name_in(), [*results], {"allow_duplicate_io_names": True}
+    step = ca.Function("in_order", inputs, [*results.values()], *names)
+    states = tuple(own.states[place] for place in order)
+    return rhec.Estimator(step, first=own.first, states=states, noises=own.noises)
+
+
+def test_departure_finds_states_by_their_names(runs):
+    own = RIVALS["traction_oracle"]
+    other = with_states_in_order(own, [3, 1, 0, 2])
+    found = [consistency.departure(Scenario(estimator=each), runs) for each in (own, other)]
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    nameless = rhec.Estimator(own.step, first=own.first, noises=own.noises)
+    with pytest.raises(ValueError, match=r"^the estimator traction_oracle_step names \['state 0',"):
+        consistency.departure(Scenario(estimator=nameless), runs)
 
 
 @pytest.fixture(scope="module")

@@ -94,6 +94,14 @@ def test_all_that_belongs_to_a_sensor_is_there(name):
     assert rhec.Fault(kind="dead", channel=name).channel == name
 
 
+def test_no_two_sensors_share_a_random_stream_or_a_name():
+    """1, 2 and 4 are the streams of plant and faults."""
+    streams = [1, 2, 4, *(sensor.stream for sensor in SENSORS.values())]
+    assert len({*streams}) == len(streams)
+    for what in ("output", "sigma", "column", "recorded_column"):
+        assert len({getattr(sensor, what) for sensor in SENSORS.values()}) == len(SENSORS)
+
+
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("speed_model", ["parameter", "input", "slipping"])
 def test_sensors_that_never_deliver_leave_the_estimate_as_it_is(speed_model):
