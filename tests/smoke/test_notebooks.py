@@ -35,7 +35,6 @@ SMALL = {
     "06_claims": Small(
         dict(looks=[10], posterior=3, world_fields=3), ("claims", "claims_coverage")
     ),
-    "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
     "08_interpretations": Small(
         dict(seeds=2, paired_seeds=4, order_fields=4, training_seeds=1),
         ("audit_interpretations", "audit_order"),
