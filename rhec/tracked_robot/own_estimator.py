@@ -92,11 +92,7 @@ class Estimator(OwnStep):
             object.__setattr__(self, "step", _named(self.step))
         super().__post_init__()
         self._check_sensors()
-        object.__setattr__(self, "label", self.label or self.step.name())
-        if not isinstance(self.label, str):
-            refuse("label was", self.label, "it should be text, or None")
-        if self.colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", str(self.colour)):
-            refuse("colour was", self.colour, "it should be text such as '#009E73', or None")
+        self._check_look()
         size = self.step.size_in(MEMORY)
         check_sizes("input", {MEMORY: size}, {MEMORY: (size[0], 1)})
         check_sizes("result", results_of(self.step), {MEMORY: size})
@@ -123,6 +119,13 @@ class Estimator(OwnStep):
         object.__setattr__(self, "sensors", in_order(sensors))
         n_z = len(MEASURED) + len(sensors)
         check_sizes("input", inputs_of(self.step), dict(z_N=(n_z, 1), V=(n_z, 1)))
+
+    def _check_look(self):
+        object.__setattr__(self, "label", self.label or self.step.name())
+        if not isinstance(self.label, str):
+            refuse("label was", self.label, "it should be text, or None")
+        if self.colour is not None and not re.fullmatch("#[0-9a-fA-F]{6}", str(self.colour)):
+            refuse("colour was", self.colour, "it should be text such as '#009E73', or None")
 
     def _check_first(self, size):
         room = max(0, size[0] - len(QUANTITIES))
