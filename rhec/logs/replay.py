@@ -524,7 +524,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
         )
         part = pd.concat([part, estimates], axis=1)
         # A measured yaw tells it whatever the course is.
-        has_yaw = sensors.rows_of_yaws(scenario.sensors, len(MEASUREMENTS))
+        has_yaw = sensors.rows_of_yaws(scenario.sensors)
         by_course = 0.0 if has_yaw else yaw_sigma_rad(part, noise_m)
         if smooth:
             part = _smooth(how, part, stream, first)

@@ -148,7 +148,7 @@ def corrupted(z, faults, t_s, track_width_m, seed=0, sensors=()):
     times t_s (n,) [s]. The seed fixes the directions of outliers.
     """
     z = np.array(z, dtype=float)
-    for row in rows_of_yaws(sensors, 4):
+    for row in rows_of_yaws(sensors):
         is_number = np.isfinite(z[:, row])
         z[is_number, row] = np.unwrap(z[is_number, row])
     plan = _schedule(faults, t_s, seed, sensors)

@@ -23,7 +23,7 @@ from rhec.tracked_robot import rhc as paper_rhc
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.sensors import records, rows_of_yaws, within_a_turn
@@ -31,7 +31,7 @@ from rhec.tracked_robot.terrain import Terrain
 
 _ONE = (1, 1)
 _NONE = ca.MX(0, 1)
-_N_Z = 4  # entries of a measurement (x, y, ν, ω); those of other sensors follow
+_N_Z = len(OUTPUTS)  # entries of a measurement (x, y, ν, ω); those of other sensors follow
 # What a controller reads and what it writes under names of its own: {its name: the signal}.
 _OF_CONTROLLER = dict(
     reads=dict(memory="controller", s_0="estimate", x_ref="xi_ref", u_ref="omega_ref"),
@@ -111,7 +111,7 @@ def _sensors(scenario, world):
         yield _sensor(sensor, n_z, scenario, world)
     if scenario.faults:
         yield from _faults(sensors)
-    yaws = rows_of_yaws(sensors, _N_Z)
+    yaws = rows_of_yaws(sensors)
     if yaws:
         yield Part(block_of(within_a_turn, _n_z(scenario), yaws))
 

@@ -17,7 +17,7 @@ from rhec.tracked_robot.tuning import Noise
 QUANTITIES = ("x_m", "y_m", "theta_rad", "nu_mps", "mu", "kappa")
 YAW_DRIFT = "yaw_drift_radpm"  # one more parameter, not in the paper: see `f_with_drift`
 # What GNSS and encoders measure, z; the measurements of other sensors follow.
-MEASURED = ("x_m", "y_m", "nu_mps", "omega_radps")
+OUTPUTS = ("x_m", "y_m", "nu_mps", "omega_radps")
 _TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}  # eq. (14)
 _LIMITS = (1e8, 1e8, 100.0, 100.0)
 # An encoder that measures nothing for a sample tells nothing: 1 m/s and 1 rad/s are full speed.
@@ -88,7 +88,7 @@ _PARAMETER = Model(
     states=QUANTITIES[:3],
     inputs=("omega_radps",),
     parameters={"nu_mps": None} | _TRACTION,
-    outputs=MEASURED,
+    outputs=OUTPUTS,
     f=f,
     h=h,
     max_measurement=_LIMITS,
@@ -98,7 +98,7 @@ _INPUT = Model(
     states=QUANTITIES[:3],
     inputs=("nu_mps", "omega_radps"),
     parameters=_TRACTION,
-    outputs=MEASURED,
+    outputs=OUTPUTS,
     f=_with_measured_speed(f),
     max_measurement=_LIMITS,
     sigma_held=SIGMA_HELD,

@@ -14,7 +14,7 @@ from rhec.core._casadi.validation import refuse
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
 from rhec.tracked_robot import choice, tuning
 from rhec.tracked_robot.choice import TOLD
-from rhec.tracked_robot.kinematics import MEASURED, QUANTITIES, YAW_DRIFT
+from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START
 from rhec.tracked_robot.sensors import SENSORS, in_order, sigma_of_sensors
 
@@ -117,7 +117,7 @@ class Estimator(OwnStep):
         if not {*sensors} <= {*SENSORS} or len({*sensors}) < len(sensors):
             refuse("sensors was", self.sensors, f"it should name some of {(*SENSORS,)}, each once")
         object.__setattr__(self, "sensors", in_order(sensors))
-        n_z = len(MEASURED) + len(sensors)
+        n_z = len(OUTPUTS) + len(sensors)
         check_sizes("input", inputs_of(self.step), dict(z_N=(n_z, 1), V=(n_z, 1)))
 
     def _check_look(self):

@@ -16,7 +16,7 @@ from rhec.core.estimator import rhe
 from rhec.core.estimator.base import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.kinematics import MEASURED, QUANTITIES, SPEED_MODELS, YAW_DRIFT
+from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
 from rhec.tracked_robot.sensors import rows_of_yaws
 from rhec.tracked_robot.speed_models import refuse_drift_with, speed_model_of
@@ -132,7 +132,7 @@ class RHE(rhe.RHE):
         )
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
-        self._rows_of_yaws = rows_of_yaws(sensors, len(MEASURED))
+        self._rows_of_yaws = rows_of_yaws(sensors)
         self._load(rhe.build_phases, window, settings_of(given, dt))
 
     def _start(self):

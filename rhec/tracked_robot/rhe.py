@@ -9,7 +9,7 @@ from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import EstimatorRecord
-from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
+from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.sensors import GUESS, SIGMA_GUESS, records, sigma_of_sensors
 from rhec.tracked_robot.speed_models import constants_of, speed_model_of
 
@@ -24,10 +24,7 @@ _RESTART = dict(mu=1.0, kappa=1.0) | GUESS
 # for that, and where a robot stops suddenly, what they measure must not be rejected.
 _POSITION = QUANTITIES[:2]
 JUDGE = InnovationGate(
-    _POSITION,
-    (*_POSITION, "nu_mps", "omega_radps"),
-    doubts_model=False,
-    half_turn=HalfTurn("theta_rad", "mu"),
+    _POSITION, OUTPUTS, doubts_model=False, half_turn=HalfTurn("theta_rad", "mu")
 )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rhec.core._casadi.build import casadi_function
 from rhec.tracked_robot import gyro_check
+from rhec.tracked_robot.kinematics import OUTPUTS
 
 _ONE = (1, 1)
 # What a sensor may measure that others ask for.
@@ -262,7 +263,7 @@ def sigma_of_sensors(scenario):
     return tuple(sensor.sigma_of(scenario)[0] for sensor in records(scenario.sensors))
 
 
-def rows_of_yaws(sensors, n_before):
-    """The rows of z at which these sensors measure the yaw, behind n_before other entries."""
-    measured = enumerate(records(sensors), n_before)
+def rows_of_yaws(sensors):
+    """The rows of z at which these sensors measure the yaw; those of OUTPUTS come first."""
+    measured = enumerate(records(sensors), len(OUTPUTS))
     return tuple(row for row, sensor in measured if sensor.measures == YAW)
