@@ -141,13 +141,13 @@ def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
 
 def by_prediction(fields, **world):
     """The rule "prediction": -2 log likelihood of what was measured on training seeds."""
-    runs = oracle_runs(TRAINING_SEEDS, **world)
+    runs = oracle_runs(TRAINING_SEEDS, sensors=fields.get("sensors", ()), **world)
     return lambda **noise: deviance(runs=runs, **fields, **noise)
 
 
 def by_consistency(fields):
     """The rule "consistent": the departure from consistency on training seeds."""
-    runs = oracle_runs(TRAINING_SEEDS)
+    runs = oracle_runs(TRAINING_SEEDS, sensors=fields.get("sensors", ()))
     return lambda **noise: consistency.departure(Scenario(**fields, **noise), runs)
 
 

@@ -21,12 +21,25 @@ _TOLD = dict(traction=["mu", "kappa"], yaw_drift=["yaw_drift_radpm"], truth=TRUT
 @functools.lru_cache(maxsize=8)
 def _build(outputs, choice):
     """An estimator's step over measurements, and what it is told."""
+    step = build_step(choice)
+    missing = [name for name in outputs if name not in step.name_out()]
+    if missing:
+        returned = f"it returns {', '.join(step.name_out())}"
+        raise ValueError(f"the estimator {step.name()!r} returns no {missing[0]!r}; {returned}")
     streamed = [name for name in estimator_of(choice.estimator).told if name in _TOLD]
-    return runner.build_recorded(build_step(choice), outputs, streamed)
+    return runner.build_recorded(step, outputs, streamed)
 
 
 def columns(run, names):
-    """Columns of a run's log, (n, names); pandas takes longer than the estimators that use them."""
+    """Columns of a run's log, (n, names); pandas takes longer than the estimators that use them.
+
+    Raises:
+        ValueError: If the run has no such column.
+    """
+    for name in names:
+        if name not in run.columns:
+            its = f"its sensors were {run.scenario.sensors!r}"
+            raise ValueError(f"the run has no column {name!r}; {its}")
     return np.array([run.columns[name] for name in names]).T
 
 

@@ -174,8 +174,8 @@ class Scenario:
     """How far the point about which the robot turns lies ahead of its middle, where the antenna of
     the GNSS is [m]."""
     sensors: options.Sensors = ()
-    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe", and
-    for a rhec.Estimator that reads just these."""
+    """What the robot has besides GNSS and encoders, ("gyro",), ("heading",) or both; for "rhe",
+    "oracle", which does not need them, and a rhec.Estimator that reads just these."""
     gyro_sigma_radps: valid.NotNegative = 0.01
     """Standard deviation of the error of the gyro's mean over a sample, where `sensors` has a gyro
     [rad/s]."""

@@ -6,6 +6,7 @@ import casadi as ca
 
 from rhec.tracked_robot import filters, rhe
 from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.kinematics import OUTPUTS
 from rhec.tracked_robot.own_estimator import Estimator
 
 # In the order of menus and messages.
@@ -13,17 +14,20 @@ EstimatorName = Literal["rhe", "ekf", "bounded_ekf", "oracle"]
 NAMES = get_args(EstimatorName)
 
 
-def _oracle():
-    """An estimator whose estimate is the true state."""
+def _oracle_step(sensors=()):
+    """The step of an estimator whose estimate is the true state, of a robot with these sensors."""
     memory = ca.SX.sym("memory", 6)
-    z = ca.SX.sym("z_N", 4)
+    z = ca.SX.sym("z_N", len(OUTPUTS) + len(sensors))
     truth = ca.SX.sym("truth", 6)
     names = ["memory", "z_N", "truth"], ["memory", "estimate"]
     options = {"allow_duplicate_io_names": True}
-    return Estimator(ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options))
+    return ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options)
 
 
-_ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _oracle().row}
+_ORACLE = Estimator(_oracle_step()).row._replace(
+    build_step=lambda choice: _oracle_step(choice.sensors), sensors=None
+)
+_ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _ORACLE}
 
 
 def estimator_of(estimator):

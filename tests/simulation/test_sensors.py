@@ -3,12 +3,14 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import rhec
 from rhec import paper
 from rhec.explorer import controls
 from rhec.simulation import closed_loop, fault_signals, faults
+from rhec.simulation.offline import run_estimator
 from rhec.tracked_robot.plant import Normal, draw_noise
 from rhec.tracked_robot.rhe import settings_of
 from rhec.tracked_robot.sensors import SENSORS
@@ -76,6 +78,18 @@ def test_sensors_come_in_the_order_of_their_measurements():
     assert backwards == SHORT and backwards.sensors == BOTH
     live = rhec.RHE(sensors=BOTH[::-1])
     assert live.model.outputs[4:] == ("gyro_radps", "heading_rad")
+
+
+def test_an_oracle_drives_a_robot_with_sensors_as_one_without():
+    """It needs none of them, but their measurements are there for other estimators."""
+    plain, both = (changed(estimator="oracle", sensors=sensors) for sensors in ((), BOTH))
+    pd.testing.assert_frame_equal(both.log[plain.log.columns], plain.log)
+    estimate = run_estimator(SHORT, both, "estimate")["estimate"]
+    assert np.abs(estimate[:, 2] - both.log["theta_rad"]).max() < 0.1
+    with pytest.raises(ValueError, match=r"^the run has no column 'gyro_meas_radps'; its sensors"):
+        run_estimator(SHORT, plain, "estimate")
+    with pytest.raises(ValueError, match=r"^the estimator 'oracle' returns no 'deviance'; it ret"):
+        run_estimator(plain.scenario, plain, "deviance")
 
 
 @pytest.mark.parametrize("name", SENSORS)
