@@ -80,8 +80,8 @@ class Sensor:
         noise: Standard deviations of its noise: the constant part, and where it has an `error` the
             share of the yaw rate.
         measure: (dt_s, n_z) -> Function of the simulated sensor, which appends its measurement to
-            the n_z entries of z. It may take the `pose` (3), `noise` (standard normal), what it
-            remembers, and `settings`.
+            the n_z entries of z. It may take signals of the loop, such as the true `pose` (3), its
+            `noise` (standard normal), what it remembers, and `settings`.
         settings: {input of that Function: Setting}.
         remembers: {what that Function returns for the next sample: (pose) -> its first value}.
         stream: Number of the random stream of its noise; 1, 2 and 4 belong to plant and faults.
