@@ -187,9 +187,9 @@ def live(scenario, iterations):
     problems = []
     commands = []
     positions = []
-    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
+    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=tuple(robot.world.guess))
     controller = rhec.RHC(q=scenario.q, r=scenario.r)
-    tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
+    tracker = PathTracker(robot.world.path, scenario.prediction_horizon)
     for z in robot:
         begin = time.perf_counter()
         estimator.prepare()
@@ -208,7 +208,7 @@ def live(scenario, iterations):
         commands.append(command)
         positions.append(robot.pose[:2].copy())
         robot.drive(command)
-    distance_m, _ = robot.setup.path.project(positions)
+    distance_m, _ = robot.world.path.project(positions)
     return distance_m, np.array(taken_s), problems, np.array(commands)
 
 

@@ -59,19 +59,24 @@ def parts_of(scenario, world=None):
         world: Its World. Without one, the parts are blocks alone, which can be compared with those
             of other loops, but not be built.
     """
-    yield from _ground(scenario, world)
-    yield from _sensors(scenario, world)
+    yield from measuring(scenario, world)
     yield from _estimator(scenario, world)
     yield from _yaw_rate(scenario)
     yield from _references(scenario, world)
     yield from _controller(scenario, world)
-    yield from _motion(scenario, world)
+    yield from moving(scenario, world)
     yield Part(block_of(row_of_log, _n_z(scenario), _has_yaw_drift(scenario)))
 
 
 def blocks_of(scenario):
     """The blocks of a scenario's loop, but for the sizes of path and soil: to compare loops."""
     return tuple(part.block for part in parts_of(scenario))
+
+
+def measuring(scenario, world=None):
+    """The Parts of a scenario's robot that act before the estimator: from the soil to z."""
+    yield from _ground(scenario, world)
+    yield from _sensors(scenario, world)
 
 
 def _n_z(scenario):
@@ -231,8 +236,11 @@ def _compensated(part):
     return Part(block_of(moved)), part, Part(block_of(taken_off))
 
 
-def _motion(scenario, world):
-    """The robot's motion until the next sample."""
+def moving(scenario, world=None):
+    """The Parts of a scenario's robot that act after the controller: the motion that it commands.
+
+    They read what `measuring` wrote, and the `command` of this sample and of the last.
+    """
     applied = block_of(applied_command, reads=dict(last="command@last"))
     yield Part(applied, settings=dict(command_delay=float(scenario.command_delay)))
     drive = block_of(
