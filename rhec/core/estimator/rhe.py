@@ -150,20 +150,20 @@ class Window(NamedTuple):
     def noise(self):
         """Shapes at one node: variances V of measurements, constants c of noise by motion.
 
-        In a noisy window also the variances Q of the process noise of the interval before the node.
+        In a noisy window also the variances W of the process noise of the interval before the node.
         """
         noise = noise_shapes(self.model)
-        return noise | dict(Q=(self.interval.n_s, 1)) if self.noisy else noise
+        return noise | dict(W=(self.interval.n_s, 1)) if self.noisy else noise
 
     @property
     def noises(self):
-        """Shapes for the whole window: Q has one column for each interval."""
-        return self.noise | (dict(Q=(self.interval.n_s, self.N)) if self.noisy else {})
+        """Shapes for the whole window: W_window has the W of each interval, in columns."""
+        return noise_shapes(self.model) | noise_memory(self)
 
     def at(self, node, **noises):
-        """V, c and Q of one node, from those of the whole window."""
+        """V, c and W of one node, from those of the whole window."""
         if self.noisy:  # before the oldest node lies no interval of the window
-            noises["Q"] = noises["Q"][:, max(node - 1, 0)]
+            noises["W"] = noises.pop("W_window")[:, max(node - 1, 0)]
         return noises
 
     @property
