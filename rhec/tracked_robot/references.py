@@ -154,6 +154,10 @@ class PathTracker:
         self._call.set(backwards=float(bool(self._names) and speed < 0))
         self._xi_ref = self._call.results["xi_ref"].reshape((3, -1), order="F")
 
+    def restart(self) -> None:
+        """Let the next search begin where the first one did, at the beginning of the path."""
+        self._call.set(s=0.0, estimate=np.zeros(6), omega_measured=0.0)
+
     @property
     def s_m(self) -> float:
         """Arc length of the path's point closest to the last estimate [m]."""
