@@ -17,7 +17,7 @@ from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import LOG
-from rhec.simulation.controller import own_controller
+from rhec.simulation.controller import Controller
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import plant_options as robot_options
 from rhec.tracked_robot import rhc as paper_rhc
@@ -179,7 +179,11 @@ def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
     n_segments = world and len(world.path.segments)
     arguments = paper.DT_S, scenario.prediction_horizon, n_segments, scenario.input_reference
-    references = block_of(build_references, *arguments, remembers=("s",))
+    # Elsewhere s is the joint state of an estimator or controller.
+    arc_length = dict(s="s_m")
+    references = block_of(
+        build_references, *arguments, reads=arc_length, writes=arc_length, remembers=("s_m",)
+    )
     if not world:
         yield Part(references)
         return
@@ -190,12 +194,12 @@ def _references(scenario, world):
         look_ahead_m=scenario.look_ahead_m,
         backwards=float(scenario.backwards),
     )
-    yield Part(references, dict(s=path.project(world.pose[None, :2])[1]), settings)
+    yield Part(references, dict(s_m=path.project(world.pose[None, :2])[1]), settings)
 
 
 def _controller(scenario, world):
     """The command, of a user's Controller or of the paper's RHC."""
-    own = own_controller(scenario)
+    own = scenario.controller if isinstance(scenario.controller, Controller) else None
     horizon = scenario.prediction_horizon
     takes = own.step.name_in() if own else ("memory",)
     remembers = ("command", "controller") if "memory" in takes else ("command",)
