@@ -74,9 +74,9 @@ def __getattr__(name):
     if name not in _HOME:
         raise AttributeError(f"module 'rhec' has no attribute {name!r}")
     home = _import_module(f"rhec.{_HOME[name]}")
-    if _HOME[name] == name:
-        return home
-    return getattr(home, name)
+    found = home if _HOME[name] == name else getattr(home, name)
+    globals()[name] = found  # the next time nobody asks here
+    return found
 
 
 def __dir__():

@@ -14,7 +14,9 @@ parameters q remains. Its multipliers then run backwards through the window and 
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
+import functools
 from collections import namedtuple
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -125,8 +127,7 @@ class Window(NamedTuple):
     @property
     def memory(self):
         """Shapes of all that is remembered, by name."""
-        of_judge = self.judge.memory(self) if self.judge else {}
-        return self.pieces._asdict() | noise_memory(self) | of_judge
+        return _memory_of(self)
 
     @property
     def doubts_model(self):
@@ -184,6 +185,14 @@ class Window(NamedTuple):
         """
         v_m, R_v = self.interval.input_noise(z, v, **noise)
         return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
+
+
+# A loop needs its shapes each time it is set up, and its judge takes most of that time.
+@functools.cache
+def _memory_of(window):
+    """Shapes of all that a Window remembers, by name."""
+    of_judge = window.judge.memory(window) if window.judge else {}
+    return MappingProxyType(window.pieces._asdict() | noise_memory(window) | of_judge)
 
 
 def _bounded(interval):
