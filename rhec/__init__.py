@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rhec import logs as logs
     from rhec.core.controller.bounds import Bound as Bound
     from rhec.core.estimator.ekf import EKF as EKF
-    from rhec.core.model.base import Model as Model
+    from rhec.core.model.robot_model import Model as Model
     from rhec.embedded import export as export
     from rhec.explorer.explorer import Explorer as Explorer
     from rhec.logs.calibration import calibrate as calibrate
@@ -49,7 +49,7 @@ _HOME = {
     "Estimator": "tracked_robot.own_estimator",
     "Explorer": "explorer.explorer",
     "Fault": "simulation.faults",
-    "Model": "core.model.base",
+    "Model": "core.model.robot_model",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",
     "RHC": "own_loop",

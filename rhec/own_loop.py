@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 
 if TYPE_CHECKING:
     from rhec.tracked_robot import own_loop

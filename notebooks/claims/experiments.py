@@ -25,7 +25,7 @@ from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.model.base import rk4
+from rhec.core.model.robot_model import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, POSE

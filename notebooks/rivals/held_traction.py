@@ -14,7 +14,7 @@ from notebooks.rivals.noises import NOISES
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe as core_rhe
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 from rhec.tracked_robot import rhe
 from rhec.tracked_robot.choice import TOLD as SHAPES
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f, f_with_drift

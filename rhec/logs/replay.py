@@ -28,8 +28,8 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import ekf, rhe
 from rhec.core.estimator.base import joint_guess
-from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import is_valid_measurement
+from rhec.core.model.robot_model import Model, interval
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
 from rhec.logs.position_noise import declared_m, position_sigma_m

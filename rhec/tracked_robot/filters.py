@@ -11,7 +11,7 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.model.base import Model, interval
+from rhec.core.model.robot_model import Model, interval
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.choice import TOLD, EstimatorRecord
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT

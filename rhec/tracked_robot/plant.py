@@ -15,7 +15,7 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, packed_size
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.core.model.base import rk4
+from rhec.core.model.robot_model import rk4
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.kinematics import f_with_drift
 

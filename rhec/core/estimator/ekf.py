@@ -15,16 +15,16 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
 from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.filter import Filter, Noise, where_defined
-from rhec.core.model import base
-from rhec.core.model.base import Model
+from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import NO_SAMPLE, copy_checked
 
 
 def build(model, dt_s):
     """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
-    kalman = Filter(where_defined(base.interval(model)), dt_s)
+    kalman = Filter(where_defined(robot_model.interval(model)), dt_s)
     shapes = dict(z_N=(len(model.outputs), 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
     @with_packed_memory("ekf_step", kalman.memory_shapes, ca.SX, **shapes)

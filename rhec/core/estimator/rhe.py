@@ -35,10 +35,10 @@ from rhec.core.estimator.base import (
 )
 from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, whole_noise, with_guard
 from rhec.core.estimator.innovation_gate import InnovationGate
-from rhec.core.model import base
-from rhec.core.model.base import Model
+from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
+from rhec.core.model.robot_model import Model
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.line_search import PENALTY, line_search
@@ -104,7 +104,7 @@ class Window(NamedTuple):
         """The model's shooting interval."""
         if self.noisy:
             return window_noise.noisy_interval(self.model, self.dt_s)
-        return base.interval(self.model)
+        return robot_model.interval(self.model)
 
     @property
     def shapes(self):

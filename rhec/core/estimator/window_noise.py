@@ -14,19 +14,19 @@ import functools
 
 import casadi as ca
 
-from rhec.core.model import base
+from rhec.core.model import robot_model
 
 # A state without noise has this variance: beside any other none, and its share of the cost is a
 # number.
 _NO_NOISE = 1e-30
 
 
-class NoisyInterval(base.Interval):
+class NoisyInterval(robot_model.Interval):
     """A shooting interval whose inputs v end with the process noise w (n_s,)."""
 
     def input_noise(self, z, v, V, c=None, *, W):
         """Mean and variances (n_v,) of inputs and noise; W (n_s,) are the noise's variances."""
-        of_inputs = base.Interval(*self)._replace(n_v=self.n_v - self.n_s)
+        of_inputs = robot_model.Interval(*self)._replace(n_v=self.n_v - self.n_s)
         mean, variance = of_inputs.input_noise(z, v, V, c)
         motion_noise = self.motion_noise
         added = motion_noise.process(mean, W, None, c) if motion_noise else W
@@ -41,7 +41,7 @@ class NoisyInterval(base.Interval):
 @functools.cache
 def noisy_interval(model, dt_s):
     """The NoisyInterval of a Model whose samples are dt_s [s] apart."""
-    exact = base.interval(model)
+    exact = robot_model.interval(model)
     s = ca.SX.sym("s", exact.n_s)
     v = ca.SX.sym("v", exact.n_v + exact.n_s)
     length_s = ca.SX.sym("dt_s")
