@@ -14,7 +14,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import kalman
-from rhec.core.estimator.base import noise_shapes
+from rhec.core.estimator.estimate import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model import robot_model
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rhec.core.estimator.base import joint_guess, noise_of
 from rhec.core.estimator.ekf import EKF
+from rhec.core.estimator.estimate import joint_guess, noise_of
 from rhec.core.model import robot_model
 from rhec.core.model.robot_model import Model
 from rhec.logs import filtering

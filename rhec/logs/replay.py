@@ -27,7 +27,7 @@ from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import ekf, rhe
-from rhec.core.estimator.base import joint_guess
+from rhec.core.estimator.estimate import joint_guess
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.model.robot_model import Model, interval
 from rhec.logs.checks import refuse

@@ -12,7 +12,7 @@ from rhec import own_loop, paper
 from rhec.core._casadi import validation as valid
 from rhec.core.controller.options import Problem
 from rhec.core.estimator import rhe
-from rhec.core.estimator.base import with_deviations
+from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT

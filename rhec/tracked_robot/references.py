@@ -13,7 +13,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import Intervals, NotNegative, Positive, Real, checked, refuse
-from rhec.core.estimator.base import Estimate
+from rhec.core.estimator.estimate import Estimate
 from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.

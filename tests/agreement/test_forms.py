@@ -24,7 +24,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.estimator.base import joint_guess
+from rhec.core.estimator.estimate import joint_guess
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, POSE, SENSORS

@@ -13,7 +13,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
-from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, noise_shapes
+from rhec.core.estimator.estimate import joint_estimate, joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.filter import Filter, Noise, where_defined
 from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step

@@ -26,7 +26,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
 from rhec.core.estimator import kalman, newest_interval, window_bounds, window_noise
-from rhec.core.estimator.base import (
+from rhec.core.estimator.estimate import (
     joint_estimate,
     joint_guess,
     noise_of,
