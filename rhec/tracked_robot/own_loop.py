@@ -10,7 +10,7 @@ import numpy as np
 
 from rhec import own_loop, paper
 from rhec.core._casadi import validation as valid
-from rhec.core.controller.options import Problem
+from rhec.core.controller.problem import Problem
 from rhec.core.estimator import rhe
 from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
