@@ -68,7 +68,7 @@ class Controller(OwnStep):
 def check_fits(scenario):
     """Refuse a Scenario's Controller whose inputs have other shapes than the loop's signals."""
     # Imported here, since only those who have a controller of their own need it.
-    from rhec.tracked_robot.rhc import stages_of
+    from rhec.tracked_robot.paper_rhc import stages_of
 
     stages = stages_of(scenario.prediction_horizon)
     states = estimator_of(scenario.estimator).states(Choice.of(scenario))

@@ -18,10 +18,9 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import LOG
 from rhec.simulation.controller import Controller
+from rhec.tracked_robot import paper_rhc, terrain
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import plant_options as robot_options
-from rhec.tracked_robot import rhc as paper_rhc
-from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS

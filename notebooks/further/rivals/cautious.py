@@ -29,7 +29,7 @@ from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import init as plan_init
 from rhec.simulation.closed_loop import first_guess
-from rhec.tracked_robot import rhc, yaw_disturbance
+from rhec.tracked_robot import paper_rhc, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
@@ -152,7 +152,7 @@ def controller(scenario, caution=0.25):
         len(path.segments),
     )
     guess = first_guess(scenario, path)
-    plan = plan_init(rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
+    plan = plan_init(paper_rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
     memory = (*pack_array(plan).tolist(), scenario.speed_mps)
     return _made(compiled.loop_symbols(), structure, caution, memory)
 
@@ -162,7 +162,7 @@ def controller(scenario, caution=0.25):
 def _made(symbols, structure, caution, memory):
     """The Controller; `symbols` is the kind that Functions may use, which depends on a compiler."""
     states, has_yaw_drift, N, timing, n_segments = structure
-    control = rhc.build_step(N, timing)
+    control = paper_rhc.build_step(N, timing)
     if has_yaw_drift:
         control = _compensated(control)
     return rhec.Controller(build_step(control, states, n_segments, paper.DT_S, caution), memory)
