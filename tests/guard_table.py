@@ -19,8 +19,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import ekf, estimate, rhe
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.simulation.columns import MEASUREMENTS, POSE
-from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot import paper_rhe, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 

@@ -34,8 +34,7 @@ from rhec.simulation.offline import SETTLED_S, run_estimator_on_all
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import kinematics as model
-from rhec.tracked_robot import paper_rhc, path, tuning
-from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import paper_rhc, paper_rhe, path, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 

@@ -26,7 +26,7 @@ from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.estimators import NAMES, estimator_of
-from rhec.tracked_robot.rhe import SIGMA_START
+from rhec.tracked_robot.paper_rhe import SIGMA_START
 
 __all__ = ["FOLDER", "LOG", "export"]
 

@@ -65,7 +65,7 @@ from rhec.tracked_robot import gyro_check, sensors, slipping
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
-from rhec.tracked_robot.rhe import sigma_start, window_of
+from rhec.tracked_robot.paper_rhe import sigma_start, window_of
 
 ESTIMATOR_FIELDS = (
     "process_noise",

@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 import casadi as ca
 
-from rhec.tracked_robot import filters, rhe
+from rhec.tracked_robot import filters, paper_rhe
 from rhec.tracked_robot.own_estimator import Estimator
 
 # In the order of menus and messages.
@@ -22,7 +22,7 @@ def _oracle():
     return Estimator(ca.Function("oracle", [memory, z, truth], [truth, truth], *names, options))
 
 
-_ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _oracle().row}
+_ESTIMATORS = paper_rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _oracle().row}
 
 
 def estimator_of(estimator):

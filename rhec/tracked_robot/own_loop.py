@@ -16,7 +16,7 @@ from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
-from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
+from rhec.tracked_robot.paper_rhe import SIGMA_START, init, settings_of, window_of
 from rhec.tracked_robot.sensors import OUTPUTS, refuse_drift_with, speed_model_of
 from rhec.tracked_robot.yaw_disturbance import disturbance_of
 
