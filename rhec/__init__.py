@@ -18,6 +18,8 @@ from rhec.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from rhec import logs as logs
+    from rhec.any_robot import RHC as RHC
+    from rhec.any_robot import RHE as RHE
     from rhec.core.controller.bounds import Bound as Bound
     from rhec.core.estimator.ekf import EKF as EKF
     from rhec.core.model.robot_model import Model as Model
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
     from rhec.logs.summary import log as log
-    from rhec.own_loop import RHC as RHC
-    from rhec.own_loop import RHE as RHE
     from rhec.simulation.campaigns.campaign import campaign as campaign
     from rhec.simulation.controller import Controller as Controller
     from rhec.simulation.faults import Fault as Fault
@@ -52,8 +52,8 @@ _HOME = {
     "Model": "core.model.robot_model",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",
-    "RHC": "own_loop",
-    "RHE": "own_loop",
+    "RHC": "any_robot",
+    "RHE": "any_robot",
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rhec import own_loop, paper
+from rhec import any_robot, paper
 from rhec.core._casadi import validation as valid
 from rhec.core.controller.problem import Problem
 from rhec.core.estimator import rhe
@@ -58,7 +58,7 @@ class Estimate(NamedTuple):
         return with_deviations((*QUANTITIES, YAW_DRIFT), [*self[:6], *drift], deviations)
 
 
-class RHE(own_loop.RHE):
+class RHE(any_robot.RHE):
     """The paper's estimator for a user's control loop: `prepare()`, then `feedback(z)`, eq. (10).
 
     A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8), then those of the sensors: the
@@ -156,7 +156,7 @@ class RHE(own_loop.RHE):
         return Estimate(*estimate[:6], covariance.copy(), *estimate[6:])
 
 
-class RHC(own_loop.RHC):
+class RHC(any_robot.RHC):
     """The paper's controller for a user's control loop: `prepare()`, then `feedback(…)`, eq. (12).
 
     Args:

@@ -180,7 +180,7 @@ def test_the_core_stands_alone(name):
     """Neither a robot nor tables nor pictures come with what any robot needs."""
     loaded = modules_after(f"rhec.{name}")
     rooms = {module.split(".")[1] for module in loaded if module.startswith("rhec.")}
-    assert rooms - {"own_loop"} == {"core", "version"}
+    assert rooms - {"any_robot"} == {"core", "version"}
     assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "loky", "IPython"})
 
 
