@@ -18,17 +18,17 @@ from rhec.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from rhec import logs as logs
+    from rhec.any_robot import RHC as RHC
+    from rhec.any_robot import RHE as RHE
     from rhec.core.controller.bounds import Bound as Bound
     from rhec.core.estimator.ekf import EKF as EKF
-    from rhec.core.model.base import Model as Model
+    from rhec.core.model.robot_model import Model as Model
     from rhec.embedded import export as export
     from rhec.explorer.explorer import Explorer as Explorer
     from rhec.logs.calibration import calibrate as calibrate
     from rhec.logs.doctor import doctor as doctor
     from rhec.logs.replay import replay as replay
     from rhec.logs.summary import log as log
-    from rhec.own_loop import RHC as RHC
-    from rhec.own_loop import RHE as RHE
     from rhec.simulation.campaigns.campaign import campaign as campaign
     from rhec.simulation.controller import Controller as Controller
     from rhec.simulation.faults import Fault as Fault
@@ -49,11 +49,11 @@ _HOME = {
     "Estimator": "tracked_robot.own_estimator",
     "Explorer": "explorer.explorer",
     "Fault": "simulation.faults",
-    "Model": "core.model.base",
+    "Model": "core.model.robot_model",
     "Path": "tracked_robot.path",
     "PathTracker": "tracked_robot.references",
-    "RHC": "own_loop",
-    "RHE": "own_loop",
+    "RHC": "any_robot",
+    "RHE": "any_robot",
     "Run": "simulation.run",
     "Scenario": "simulation.scenario",
     "Terrain": "tracked_robot.terrain",
@@ -74,9 +74,9 @@ def __getattr__(name):
     if name not in _HOME:
         raise AttributeError(f"module 'rhec' has no attribute {name!r}")
     home = _import_module(f"rhec.{_HOME[name]}")
-    if _HOME[name] == name:
-        return home
-    return getattr(home, name)
+    found = home if _HOME[name] == name else getattr(home, name)
+    globals()[name] = found  # the next time nobody asks here
+    return found
 
 
 def __dir__():

@@ -205,10 +205,10 @@ def _fields():
 
 def _group_of(field):
     """The group of options of a Scenario's parameter."""
-    from rhec.simulation.scenario_fields import GROUPS, fields_of
+    from rhec.simulation.scenario_fields import fields_of, groups_of
 
     group = fields_of(rhec.Scenario)[field].group
-    return Group(group, sort_key=[*GROUPS.values()].index(group) + 2)
+    return Group(group, sort_key=groups_of(rhec.Scenario).index(group) + 2)
 
 
 def _scenario_of(world, fields):

@@ -16,11 +16,10 @@ import numpy as np
 import rhec
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
-from rhec.core.estimator import base, ekf, rhe
+from rhec.core.estimator import ekf, estimate, rhe
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.simulation.columns import MEASUREMENTS, POSE
-from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot import paper_rhe, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -115,8 +114,8 @@ def paper_estimators(process_noise, judge=ANY):
 
 def model_estimators(model, dt_s, sigma_v, sigma_w, guess, sigma_guess, judge=ANY):
     """RHE and EKF of a Model, both from the same first guess."""
-    m, sigma = base.joint_guess(model, guess, sigma_guess)
-    values = base.noise_of(model, sigma_v, sigma_w) | dict(m_0=m, P_0=np.square(sigma))
+    m, sigma = estimate.joint_guess(model, guess, sigma_guess)
+    values = estimate.noise_of(model, sigma_v, sigma_w) | dict(m_0=m, P_0=np.square(sigma))
     judge = InnovationGate() if judge is ANY else judge
     window = rhe.Window(model, dt_s, 10, "filtered", judge)
     return _estimators(window, values, lambda z: m, sigma)

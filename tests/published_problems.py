@@ -13,7 +13,7 @@ from notebooks.studies.ipopt import PlanProblem, WindowProblem, next_state
 from rhec.core.controller.bounds import Bound
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 
 
 class ControlProblem(NamedTuple):

@@ -16,7 +16,7 @@ from rhec.core.estimator import ekf, rhe
 from rhec.core.estimator.window_bounds import without_bounds
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
-from rhec.tracked_robot.rhe import SIGMA_START, init, window_of
+from rhec.tracked_robot.paper_rhe import SIGMA_START, init, window_of
 
 __all__ = ["build_tools", "c_text", "first_memories"]
 

@@ -25,7 +25,7 @@ from rhec.core._casadi.build import select_inputs, with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.model.base import rk4
+from rhec.core.model.robot_model import rk4
 from rhec.core.solver.rti import PHASES
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, POSE
@@ -34,9 +34,7 @@ from rhec.simulation.offline import SETTLED_S, run_estimator_on_all
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import kinematics as model
-from rhec.tracked_robot import path, tuning
-from rhec.tracked_robot import rhc as paper_rhc
-from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import paper_rhc, paper_rhe, path, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.references import PathTracker
 
@@ -187,9 +185,9 @@ def live(scenario, iterations):
     problems = []
     commands = []
     positions = []
-    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=tuple(robot.setup.guess))
+    estimator = rhec.RHE(process_noise=scenario.process_noise, guess=tuple(robot.world.guess))
     controller = rhec.RHC(q=scenario.q, r=scenario.r)
-    tracker = PathTracker(robot.setup.path, scenario.prediction_horizon)
+    tracker = PathTracker(robot.world.path, scenario.prediction_horizon)
     for z in robot:
         begin = time.perf_counter()
         estimator.prepare()
@@ -208,7 +206,7 @@ def live(scenario, iterations):
         commands.append(command)
         positions.append(robot.pose[:2].copy())
         robot.drive(command)
-    distance_m, _ = robot.setup.path.project(positions)
+    distance_m, _ = robot.world.path.project(positions)
     return distance_m, np.array(taken_s), problems, np.array(commands)
 
 

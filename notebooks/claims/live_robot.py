@@ -1,70 +1,86 @@
-"""The simulated robot for a loop in plain Python, sample by sample: the closed loop's plant with a
-scenario's soil, noise and start.
+"""The simulated robot for a loop in plain Python, sample by sample: the closed loop's blocks of a
+scenario, but for its estimator and controller.
 """
 
 import functools
 
+import casadi as ca
+import numpy as np
+
 from rhec import paper
-from rhec.core._casadi.build import select_inputs
+from rhec.core import blocks, wiring
 from rhec.core._casadi.compiled import BufferedFunction
-from rhec.core._casadi.packing import unpack_array
-from rhec.simulation.closed_loop import set_up
-from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot import terrain
+from rhec.simulation.closed_loop import world_of
+from rhec.simulation.parts import measuring, moving
 
 __all__ = ["LiveRobot"]
-
-
-@functools.cache
-def _functions(shape, soil_under):
-    """The plant's measurement and motion, and the soil on a grid of this shape."""
-    return robot.measure(paper.DT_S), robot.drive(paper.DT_S), robot.soil(shape, soil_under)
 
 
 class LiveRobot:
     """A robot that is measured and driven in turn: `for z in robot: …; robot.drive(omega)`.
 
     Attributes:
-        setup: The scenario's Setup.
+        world: The scenario's World.
         pose: The true pose (3,) at the last measurement.
     """
 
     def __init__(self, scenario):
-        self.setup = set_up(scenario)
-        self._noise = robot.draw_noise(scenario.seed, round(scenario.duration_s / paper.DT_S))
-        shape = terrain.common_shape(self.setup.terrain)
-        functions = _functions(shape, scenario.soil_under)
-        self._measure, self._drive, self._soil = map(BufferedFunction, functions)
-        for call in (self._measure, self._drive, self._soil):
-            call.set(**select_inputs(call.function, self.setup.settings))
-        memory = self.setup.unpack(self.setup.memory)
-        self._state = {name: memory[name] for name in robot.MEMORY}
+        self.world = world_of(scenario)
+        before, after = (tuple(make(scenario, self.world)) for make in (measuring, moving))
+        self._measure, self._move = (
+            BufferedFunction(_joined(tuple(part.block for part in parts)))
+            for parts in (before, after)
+        )
+        parts = *before, *after
+        settings = blocks.brought(parts, "settings")
+        samples = round(scenario.duration_s / paper.DT_S)
+        self._streams = {
+            name: draw(scenario.seed, samples, scenario.faults)
+            for name, draw in blocks.brought(parts, "streams").items()
+        }
+        self._samples = samples
+        for call in (self._measure, self._move):
+            call.set(**{name: settings[name] for name in call.arguments.keys() & settings.keys()})
+        self._signals = dict(command=0.0) | blocks.brought(parts, "first")
 
     def __iter__(self):
-        for noise in self._noise:
-            self._state |= unpack_array(noise, robot.NOISE)
-            self.pose = self._state["pose"].ravel()
-            self._soil.set(pose=self.pose)
-            self._soil.call()
-            self._set(self._measure)
-            self._measure.call()
-            yield self._measure.results["z"].copy()
+        for sample in range(self._samples):
+            self.pose = np.array(self._signals["pose"])
+            self._signals |= {name: rows[sample] for name, rows in self._streams.items()}
+            self._call(self._measure)
+            yield self._signals["z"]
 
-    def _set(self, call):
-        """Copy into a call what it takes of the state."""
-        for name, array in call.arguments.items():
-            if name in self._state:
-                array[:] = self._state[name].ravel(order="F")
+    def drive(self, omega_radps):
+        """Drive for one sample at this commanded yaw rate."""
+        last = {_argument("command@last"): self._signals["command"]}
+        self._signals |= last | dict(command=omega_radps)
+        self._call(self._move)
 
-    def drive(self, omega_radps, **speed_mps):
-        """Drive for one sample.
+    def _call(self, call):
+        """Evaluate blocks on the signals, and write theirs."""
+        known = call.arguments.keys() & self._signals.keys()
+        call.set(**{name: self._signals[name] for name in known})
+        call.call()
+        self._signals |= {name: result.copy() for name, result in call.results.items()}
 
-        Args:
-            omega_radps: Commanded yaw rate.
-            speed_mps: Commanded speed; the scenario's, by default.
-        """
-        self._set(self._drive)
-        self._drive.set(**self._soil.results, omega_radps=omega_radps, **speed_mps)
-        self._drive.call()
-        results = self._drive.results | dict(drift=self._measure.results["drift"])
-        self._state |= {name: value.copy() for name, value in results.items()}
+
+@functools.cache
+def _joined(of_blocks):
+    """Blocks as one Function of the signals that come from outside, which returns all of theirs."""
+    parts = [block.wired for block in of_blocks]
+    outside = {
+        place: ca.MX.sym(_argument(place), *function.size_in(name))
+        for place, (function, name) in wiring.outside(parts).items()
+    }
+    signals = wiring.evaluated(parts, outside)
+    written = {place: signals[place] for part in parts for place in part.writes.values()}
+    results = [ca.densify(value) for value in written.values()]
+    names = [*map(_argument, outside)], [*written]
+    # A signal may be read from the sample before, and then written.
+    options = {"allow_duplicate_io_names": True}
+    return ca.Function("joined", [*outside.values()], results, *names, options)
+
+
+def _argument(place):
+    """A place as a name of CasADi's, which has no "@"."""
+    return place.replace("@", "_")

@@ -14,8 +14,8 @@ from notebooks.rivals.noises import NOISES
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe as core_rhe
-from rhec.core.model.base import Model
-from rhec.tracked_robot import rhe
+from rhec.core.model.robot_model import Model
+from rhec.tracked_robot import paper_rhe
 from rhec.tracked_robot.choice import TOLD as SHAPES
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f, f_with_drift
 
@@ -43,7 +43,7 @@ def rival(name, horizon=paper.HORIZON, arrival_mean="filtered"):
     model = _HELD_DRIFTING if has_drift else _HELD
     quantities = (*QUANTITIES, YAW_DRIFT) if has_drift else QUANTITIES
     window = core_rhe.Window(
-        model, paper.DT_S, horizon, arrival_mean, rhe.JUDGE, quantities=quantities
+        model, paper.DT_S, horizon, arrival_mean, paper_rhe.JUDGE, quantities=quantities
     )
     return rhec.Estimator(
         _build_step(name, window, TOLD[name]),
@@ -58,7 +58,7 @@ def _build_step(name, window, told):
     model = window.model
     step = core_rhe.build_phases(window)["step"]
     if YAW_DRIFT in model.names:
-        step = rhe.with_drift_apart(step)
+        step = paper_rhe.with_drift_apart(step)
     inputs = dict(memory=ca.MX.sym("memory", step.size1_in("memory")))
     inputs |= dict(z_N=ca.MX.sym("z_N", 4), V=ca.MX.sym("V", 4), W=ca.MX.sym("W", model.n_s))
     inputs |= {signal: ca.MX.sym(signal, *SHAPES[signal]) for signal in told}
@@ -66,7 +66,7 @@ def _build_step(name, window, told):
     values = inputs | dict(
         z_N=ca.vertcat(inputs["z_N"], traction),
         V=ca.vertcat(inputs["V"], *[_SIGMA_HELD**2] * 2),
-        P_0=np.square([rhe.SIGMA_START[state] for state in model.joint_names]),
+        P_0=np.square([paper_rhe.SIGMA_START[state] for state in model.joint_names]),
         m_0=np.zeros(model.n_s),
     )
     results = step.call([values[place] for place in step.name_in()])
@@ -82,7 +82,7 @@ def _first(window):
 
     def memory(both):
         guess, sigma = (dict(zip(names, part)) for part in np.split(both, 2))
-        return pack_array(rhe.init(window, guess, sigma))
+        return pack_array(paper_rhe.init(window, guess, sigma))
 
     constant = memory(np.zeros(2 * n))
     # Missing measurements are NaN for any guess, so that their slope is 0.

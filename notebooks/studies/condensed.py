@@ -12,8 +12,8 @@ from rhec.core.controller import rhc
 from rhec.core.controller.qp import commanded
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.simulation.closed_loop import first_guess
+from rhec.tracked_robot.paper_rhc import stages_of
 from rhec.tracked_robot.path import path_of
-from rhec.tracked_robot.rhc import stages_of
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {

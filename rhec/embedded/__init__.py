@@ -19,14 +19,14 @@ import numpy as np
 from rhec.core._casadi.validation import shown
 from rhec.core.controller.rhc import RHC
 from rhec.core.estimator.rhe import RHE
-from rhec.embedded import c_writer, phases, recorded
+from rhec.embedded import c_writer, exported_functions, recorded
 from rhec.files import UNFINISHED, replacing
 from rhec.logs.summary import Summary
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot.estimators import NAMES, estimator_of
-from rhec.tracked_robot.rhe import SIGMA_START
+from rhec.tracked_robot.paper_rhe import SIGMA_START
 
 __all__ = ["FOLDER", "LOG", "export"]
 
@@ -108,7 +108,7 @@ def _of_model(parts):
         rhc = by_name["rhc"].stages
         if (rhe.model, rhe.dt_s) != (rhc.model, rhc.dt_s):
             raise ValueError("RHE and RHC differ; both should have the same model and dt")
-    export = phases.export_model(**by_name)
+    export = exported_functions.export_model(**by_name)
     texts = _common_files()
     readme = c_writer.readme(export, texts["README.txt"])
     return texts | _generated(export) | {"README.txt": readme}
@@ -116,7 +116,7 @@ def _of_model(parts):
 
 def _of_scenario(scenario, estimator_only=False):
     """{file: text} of the export of a Scenario."""
-    export = phases.export(scenario, estimator_only)
+    export = exported_functions.export(scenario, estimator_only)
     texts = _common_files(*(_OF_SCENARIO[:1] if estimator_only else _OF_SCENARIO))
     shorter = dataclasses.replace(scenario, duration_s=min(scenario.duration_s, _LOG_S))
     columns = log_columns(scenario)
@@ -128,7 +128,7 @@ def _of_scenario(scenario, estimator_only=False):
 
 def _of_log(judged):
     """{file: text} of the export of the estimator that was judged on a log."""
-    export = phases.export_recorded(recorded.recorded_of(judged))
+    export = exported_functions.export_recorded(recorded.recorded_of(judged))
     texts = _common_files(*_OF_LOG)
     log = recorded.example_of(judged)
     readme = c_writer.readme(

@@ -8,7 +8,7 @@ import numpy as np
 
 from rhec.core._casadi.c_text import generate_c
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
-from rhec.embedded.phases import operations
+from rhec.embedded.exported_functions import operations
 
 # Comments of the settings in C. Units of a Model are unknown.
 _MEANING = {

@@ -14,7 +14,7 @@ import pandas as pd
 from rhec.core._casadi.build import casadi_function
 from rhec.core.estimator.rhe import Window
 from rhec.core.model.limits import is_valid_measurement
-from rhec.embedded.phases import Recorded
+from rhec.embedded.exported_functions import Recorded
 from rhec.logs.recording import with_ages
 from rhec.logs.replay import (
     N_HEADINGS,

@@ -15,7 +15,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 from rhec.logs import filtering, minimum, terms
 from rhec.logs.checks import facts, refuse
 from rhec.logs.filtering import Loss

@@ -14,9 +14,9 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import kalman
-from rhec.core.estimator.base import noise_shapes
+from rhec.core.estimator.estimate import noise_shapes
 from rhec.core.estimator.filter import Filter, Noise
-from rhec.core.model import base
+from rhec.core.model import robot_model
 
 OUTLIER = 1.5  # standard deviations from which on a position counts less
 _OUTLIERS = 1e-3  # share of good samples that count less by the logarithm
@@ -75,7 +75,7 @@ def build(model, dt_s, loss, along_trajectory=False):
     """
     n_z = len(model.outputs)
     recorded = _SMOOTHED if along_trajectory else _FILTERED
-    interval = base.interval(model)
+    interval = robot_model.interval(model)
     kalman_filter = Filter(interval, dt_s, _correction(loss, len(interval.outputs)))
     streamed = dict.fromkeys(["s_before", "s_now"] if along_trajectory else [], (model.n_s, 1))
     shapes = dict(z_N=(2 * n_z, 1), noise=noise_shapes(model), W=(model.n_s, 1), **streamed)

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 from rhec.logs import filtering
 from rhec.logs.filtering import Loss
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rhec.core.estimator.base import joint_guess, noise_of
 from rhec.core.estimator.ekf import EKF
-from rhec.core.model import base
-from rhec.core.model.base import Model
+from rhec.core.estimator.estimate import joint_guess, noise_of
+from rhec.core.model import robot_model
+from rhec.core.model.robot_model import Model
 from rhec.logs import filtering
 from rhec.logs.filtering import Loss
 from rhec.logs.likelihood import Calibration, Likelihood, Unknown, normal_report
@@ -99,7 +99,7 @@ def _streams(log, model, dt_s, delays_s):
     recording = prepare_for(model, dt_s, log, delays_s)
     parts = samples_for(model, dt_s, recording)
     segments = [with_ages(part, [*model.outputs]) for part in parts]
-    outputs = [output.row for output in base.interval(model).outputs]
+    outputs = [output.row for output in robot_model.interval(model).outputs]
     n = sum(np.isfinite(stream[:, outputs]).any(axis=1).sum() for stream in segments)
     if n < _LEAST_SAMPLES:
         names = ", ".join(model.outputs[row] for row in outputs)

@@ -27,9 +27,9 @@ from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.packing import pack_array
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.estimator import ekf, rhe
-from rhec.core.estimator.base import joint_guess
-from rhec.core.model.base import Model, interval
+from rhec.core.estimator.estimate import joint_guess
 from rhec.core.model.limits import is_valid_measurement
+from rhec.core.model.robot_model import Model, interval
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
 from rhec.logs.position_noise import declared_m, position_sigma_m
@@ -68,7 +68,7 @@ from rhec.tracked_robot import sensors, slipping
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
-from rhec.tracked_robot.rhe import sigma_start, window_of
+from rhec.tracked_robot.paper_rhe import sigma_start, window_of
 from rhec.tracked_robot.speed_models import speed_model_of
 
 ESTIMATOR_FIELDS = (

@@ -10,7 +10,8 @@ from rhec.tracked_robot.path import path_of
 
 _ONE = (1, 1)
 # What the loop tells a controller besides its memory. A Scenario decides the shapes.
-_SIGNALS = "s_0 x_ref u_ref lower upper Q QN R s covariance segments period_m speed_mps disturbance"
+_SIGNALS = """s_0 x_ref u_ref lower upper Q QN R s_m covariance segments period_m speed_mps
+    disturbance"""
 _COMMAND = "command"
 
 
@@ -21,11 +22,11 @@ class Controller(OwnStep):
     The loop finds the inputs of `step` by their names. It may have any of these:
 
     - `memory`: what it returned as `memory` one sample ago.
-    - `s_0`: the estimate (x, y, θ, ν, μ, κ).
+    - `s_0`: the estimate (x, y, θ, ν, μ, κ), the joint state of node 0.
     - `x_ref` (3, N+1) and `u_ref` (1, N): desired poses and yaw rates, N = `prediction_horizon`.
     - `lower` and `upper`: bounds of the yaw rate [rad/s].
     - `Q` (3), `QN` (3) and `R`: the Scenario's weights `q`, `qn_factor` · `q` and `r`.
-    - `s`: arc length of the path's point closest to the estimate [m].
+    - `s_m`: arc length of the path's point closest to the estimate [m].
     - `covariance` (n, n): of the estimator's states; n is 0 where it has none.
     - `segments` (5, M): those of the path, with columns (s, x, y, θ, 1/radius).
     - `period_m`: arc length after which the path repeats itself [m].
@@ -64,15 +65,10 @@ class Controller(OwnStep):
             check_sizes(role, sizes, {MEMORY: size})
 
 
-def own_controller(scenario):
-    """The Controller of a Scenario; None where that is the paper's RHC."""
-    return scenario.controller if isinstance(scenario.controller, Controller) else None
-
-
 def check_fits(scenario):
     """Refuse a Scenario's Controller whose inputs have other shapes than the loop's signals."""
     # Imported here, since only those who have a controller of their own need it.
-    from rhec.tracked_robot.rhc import stages_of
+    from rhec.tracked_robot.paper_rhc import stages_of
 
     stages = stages_of(scenario.prediction_horizon)
     states = estimator_of(scenario.estimator).states(Choice.of(scenario))

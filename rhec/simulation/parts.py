@@ -17,10 +17,9 @@ from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import LOG
-from rhec.simulation.controller import own_controller
+from rhec.simulation.controller import Controller
+from rhec.tracked_robot import paper_rhc, terrain
 from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot import rhc as paper_rhc
-from rhec.tracked_robot import terrain
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, SPEED_MODELS
@@ -59,19 +58,24 @@ def parts_of(scenario, world=None):
         world: Its World. Without one, the parts are blocks alone, which can be compared with those
             of other loops, but not be built.
     """
-    yield from _ground(scenario, world)
-    yield from _sensors(scenario, world)
+    yield from measuring(scenario, world)
     yield from _estimator(scenario, world)
     yield from _yaw_rate(scenario)
     yield from _references(scenario, world)
     yield from _controller(scenario, world)
-    yield from _motion(scenario, world)
+    yield from moving(scenario, world)
     yield Part(block_of(row_of_log, _n_z(scenario), _has_yaw_drift(scenario)))
 
 
 def blocks_of(scenario):
     """The blocks of a scenario's loop, but for the sizes of path and soil: to compare loops."""
     return tuple(part.block for part in parts_of(scenario))
+
+
+def measuring(scenario, world=None):
+    """The Parts of a scenario's robot that act before the estimator: from the soil to z."""
+    yield from _ground(scenario, world)
+    yield from _sensors(scenario, world)
 
 
 def _n_z(scenario):
@@ -182,7 +186,11 @@ def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
     n_segments = world and len(world.path.segments)
     arguments = paper.DT_S, scenario.prediction_horizon, n_segments, scenario.input_reference
-    references = block_of(build_references, *arguments, remembers=("s",))
+    # Elsewhere s is the joint state of an estimator or controller.
+    arc_length = dict(s="s_m")
+    references = block_of(
+        build_references, *arguments, reads=arc_length, writes=arc_length, remembers=("s_m",)
+    )
     if not world:
         yield Part(references)
         return
@@ -193,12 +201,12 @@ def _references(scenario, world):
         look_ahead_m=scenario.look_ahead_m,
         backwards=float(scenario.backwards),
     )
-    yield Part(references, dict(s=path.project(world.pose[None, :2])[1]), settings)
+    yield Part(references, dict(s_m=path.project(world.pose[None, :2])[1]), settings)
 
 
 def _controller(scenario, world):
     """The command, of a user's Controller or of the paper's RHC."""
-    own = own_controller(scenario)
+    own = scenario.controller if isinstance(scenario.controller, Controller) else None
     horizon = scenario.prediction_horizon
     takes = own.step.name_in() if own else ("memory",)
     remembers = ("command", "controller") if "memory" in takes else ("command",)
@@ -239,8 +247,11 @@ def _compensated(part):
     return Part(block_of(moved)), part, Part(block_of(taken_off))
 
 
-def _motion(scenario, world):
-    """The robot's motion until the next sample."""
+def moving(scenario, world=None):
+    """The Parts of a scenario's robot that act after the controller: the motion that it commands.
+
+    They read what `measuring` wrote, and the `command` of this sample and of the last.
+    """
     applied = block_of(applied_command, reads=dict(last="command@last"))
     yield Part(applied, settings=dict(command_delay=float(scenario.command_delay)))
     drive = block_of(

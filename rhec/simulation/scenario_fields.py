@@ -1,34 +1,24 @@
 """What each parameter of Scenario means: its group, text, unit and range, for help and menus.
 
-The texts stand in Scenario, below its parameters. No run imports this module.
+They stand in Scenario, in the annotations of its parameters. No run imports this module.
 """
 
-import ast
 import functools
-import inspect
 import re
 import textwrap
-from itertools import pairwise
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-# The groups of the parameters, by the first one of each.
-GROUPS = dict(
-    estimator="the estimator",
-    q="the controller",
-    speed_mps="the drive",
-    terrain="the soil",
-    gnss_sigma_m="the sensors",
-)
+from rhec.core._casadi.validation import Doc
 
 
 class Field(NamedTuple):
     """What one parameter of Scenario is.
 
     Attributes:
-        group: Its group, one of GROUPS.
+        group: Its group, such as "the estimator".
         text: What it means, without unit and range.
         unit: Its unit, "" where it has none.
         lowest: Least value of it, or of each of its entries; None where there is none.
@@ -48,26 +38,18 @@ class Field(NamedTuple):
 
 @functools.cache
 def fields_of(scenario_class):
-    """{name: Field} of Scenario, from the texts and from the limits that pydantic checks."""
+    """{name: Field} of Scenario, from each parameter's Doc and the limits that pydantic checks."""
     fields = {}
-    group = None
-    for name, text in _texts_of(scenario_class).items():
-        group = GROUPS.get(name, group)
-        unit = re.search(r" \[(.*?)\]", text)
-        text = text.replace(unit[0], "") if unit else text
-        values = _values_of(scenario_class.__pydantic_fields__[name])
-        fields[name] = Field(group, text, unit[1] if unit else "", *values)
+    for name, info in scenario_class.__pydantic_fields__.items():
+        (doc,) = (each for each in info.metadata if isinstance(each, Doc))
+        text = " ".join(doc.text.split())
+        fields[name] = Field(doc.group, text, doc.unit, *_values_of(info))
     return fields
 
 
-def _texts_of(scenario_class):
-    """{name: text} of the string below each parameter, which Python itself does not keep."""
-    (definition,) = ast.parse(inspect.getsource(scenario_class)).body
-    return {
-        field.target.id: " ".join(below.value.value.split())
-        for field, below in pairwise(definition.body)
-        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr)
-    }
+def groups_of(scenario_class):
+    """The groups of Scenario's parameters, in their order."""
+    return [*dict.fromkeys(field.group for field in fields_of(scenario_class).values())]
 
 
 def _values_of(info):
@@ -120,8 +102,9 @@ def _described(name, field):
 
 def docstring(scenario_class):
     """Scenario's docstring: one entry for each parameter, by groups."""
-    *others, last = GROUPS.values()
-    entries = {group: [] for group in GROUPS.values()}
+    groups = groups_of(scenario_class)
+    *others, last = groups
+    entries = {group: [] for group in groups}
     for name, field in fields_of(scenario_class).items():
         entries[field.group].append(_described(name, field))
     return f"""One closed-loop run. SI units; angles in radians.

@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 import casadi as ca
 
-from rhec.tracked_robot import filters, rhe
+from rhec.tracked_robot import filters, paper_rhe
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import OUTPUTS
 from rhec.tracked_robot.own_estimator import Estimator
@@ -27,7 +27,7 @@ def _oracle_step(sensors=()):
 _ORACLE = Estimator(_oracle_step()).row._replace(
     build_step=lambda choice: _oracle_step(choice.sensors), sensors=None
 )
-_ESTIMATORS = rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _ORACLE}
+_ESTIMATORS = paper_rhe.ESTIMATORS | filters.ESTIMATORS | {"oracle": _ORACLE}
 
 
 def estimator_of(estimator):

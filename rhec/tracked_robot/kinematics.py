@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from rhec.core.model.base import Model
-from rhec.core.model.base import rk4 as rk4  # eq. (3)
+from rhec.core.model.robot_model import Model
+from rhec.core.model.robot_model import rk4 as rk4  # eq. (3)
 from rhec.tracked_robot.tuning import Noise
 
 # The estimate of every estimator, in this order: pose ξ and parameters p.

@@ -15,7 +15,7 @@ from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_
 from rhec.tracked_robot import choice, tuning
 from rhec.tracked_robot.choice import TOLD
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, YAW_DRIFT
-from rhec.tracked_robot.rhe import SIGMA_START
+from rhec.tracked_robot.paper_rhe import SIGMA_START
 from rhec.tracked_robot.sensors import SENSORS, in_order, sigma_of_sensors
 
 _ONE = (1, 1)

@@ -1,6 +1,6 @@
 """The paper's RHE and RHC as objects, for a control loop that a user writes.
 
-They are those of any Model, in the words of the paper. `rhec.RHE` and `rhec.RHC` make them.
+They are those of any Model, in the words of the paper. `rhec.RHE()` and `rhec.RHC()` make them.
 """
 
 from types import SimpleNamespace
@@ -8,16 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rhec import paper
+from rhec import any_robot, paper
 from rhec.core._casadi import validation as valid
-from rhec.core.controller import rhc
-from rhec.core.controller.options import Problem
+from rhec.core.controller.problem import Problem
 from rhec.core.estimator import rhe
-from rhec.core.estimator.base import with_deviations
+from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
-from rhec.tracked_robot.rhe import SIGMA_START, init, settings_of, window_of
+from rhec.tracked_robot.paper_rhe import SIGMA_START, init, settings_of, window_of
 from rhec.tracked_robot.sensors import rows_of_yaws
 from rhec.tracked_robot.speed_models import refuse_drift_with, speed_model_of
 from rhec.tracked_robot.yaw_disturbance import disturbance_of
@@ -60,7 +59,7 @@ class Estimate(NamedTuple):
         return with_deviations((*QUANTITIES, YAW_DRIFT), [*self[:6], *drift], deviations)
 
 
-class RHE(rhe.RHE):
+class RHE(any_robot.RHE):
     """The paper's estimator for a user's control loop: `prepare()`, then `feedback(z)`, eq. (10).
 
     A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8), then those of the sensors: the
@@ -83,6 +82,7 @@ class RHE(rhe.RHE):
         yaw_drift: Whether the yaw drift is estimated, too, see Scenario and `RHC.disturbance`.
         guess: First (x, y, θ, ν, μ, κ). By default the first measurement's position and speed, yaw
             0 and no slip, with a standard deviation of the yaw of a right angle.
+        model: None; with a Model, rhec.RHE is another class.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -107,6 +107,7 @@ class RHE(rhe.RHE):
         yaw_drift: valid.Flag = False,
         guess: tuple[valid.Real, valid.Real, valid.Real, valid.Real, valid.Real, valid.Real]
         | None = None,
+        model: None = None,
     ):
         if yaw_drift:
             refuse_drift_with(speed_model)
@@ -157,7 +158,7 @@ class RHE(rhe.RHE):
         return Estimate(*estimate[:6], covariance.copy(), *estimate[6:])
 
 
-class RHC(rhc.RHC):
+class RHC(any_robot.RHC):
     """The paper's controller for a user's control loop: `prepare()`, then `feedback(…)`, eq. (12).
 
     Args:
@@ -168,6 +169,7 @@ class RHC(rhc.RHC):
         dt: Length of a sample [s].
         horizon: Intervals of the prediction.
         qp: What solves the QP, see `rhec.core.controller.stages.Stages`; None: an active set.
+        model: None; with a Model, rhec.RHC is another class.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -184,13 +186,19 @@ class RHC(rhc.RHC):
         dt: valid.Positive = paper.DT_S,
         horizon: valid.Intervals = paper.HORIZON,
         qp: Any = None,
+        model: None = None,
     ):
         self._qp = qp
-        model = SPEED_MODELS["parameter"].model
+        paper_model = SPEED_MODELS["parameter"].model
         bounds = dict(omega_radps=(-omega_max, omega_max))
         weights = dict(q=q, r=(r,), qn_factor=qn_factor)
         super().__init__(
-            model=model, command=("omega_radps",), bounds=bounds, dt=dt, horizon=horizon, **weights
+            model=paper_model,
+            command=("omega_radps",),
+            bounds=bounds,
+            dt=dt,
+            horizon=horizon,
+            **weights,
         )
         pose, p, xi_ref, (omega_ref,) = self._inputs.values()
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)

@@ -15,7 +15,7 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function, packed_size
 from rhec.core._casadi.sines import sines_by_addition
-from rhec.core.model.base import rk4
+from rhec.core.model.robot_model import rk4
 from rhec.tracked_robot import terrain
 from rhec.tracked_robot.kinematics import f_with_drift
 
@@ -31,10 +31,13 @@ _SHORTEST_RUT_M = 1e-9  # instead of 0, by which no distance can be divided
 MEMORY = dict(pose=(3, 1), tracks=(2, 1), integral=(2, 1), drift=(2, 1), encoders=(2, 1))
 MEMORY |= dict(rut=(1, 1), running=(1, 1))
 NOISE = dict(white=(2, 1), slow=(2, 1), bump=(1, 1), encoder=(2, SUBSTEPS), speed=(1, 1))
-# Settings of the sensors, the robot's body and the ground, by the names of Scenario's parameters.
+_N_SPEED = packed_size({"speed": NOISE["speed"]})
+_N_OTHERS = packed_size(NOISE) - _N_SPEED
+# Settings of the sensors, by the names of Scenario's parameters.
 SENSORS = dict.fromkeys(
     ("gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "speed_sigma_mps"), (1, 1)
 )
+# Settings of the robot's body and the ground, by the names of Scenario's parameters.
 BODY = dict.fromkeys(
     (
         "track_width_m",
@@ -69,12 +72,10 @@ def draw_noise(seed, samples, faults=()):
     The first rows are those of fewer samples. The noise of the speed comes last and from a separate
     stream, so that all else is the same with and without it.
     """
-    n_speed = packed_size({"speed": NOISE["speed"]})
-    n_others = packed_size(NOISE) - n_speed
     return np.hstack(
         [
-            standard_normal(seed, _STREAM_OF_ALL_BUT_SPEED, samples, n_others),
-            standard_normal(seed, _STREAM_OF_SPEED, samples, n_speed),
+            standard_normal(seed, _STREAM_OF_ALL_BUT_SPEED, samples, _N_OTHERS),
+            standard_normal(seed, _STREAM_OF_SPEED, samples, _N_SPEED),
         ]
     )
 

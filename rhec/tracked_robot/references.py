@@ -13,7 +13,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.validation import Intervals, NotNegative, Positive, Real, checked, refuse
-from rhec.core.estimator.base import Estimate
+from rhec.core.estimator.estimate import Estimate
 from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
@@ -153,6 +153,10 @@ class PathTracker:
         self._call.set(segments=segments, period_m=path.period_m, look_ahead_m=look_ahead_m)
         self._call.set(backwards=float(bool(self._names) and speed < 0))
         self._xi_ref = self._call.results["xi_ref"].reshape((3, -1), order="F")
+
+    def restart(self) -> None:
+        """Let the next search begin where the first one did, at the beginning of the path."""
+        self._call.set(s=0.0, estimate=np.zeros(6), omega_measured=0.0)
 
     @property
     def s_m(self) -> float:

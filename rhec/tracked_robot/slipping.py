@@ -9,7 +9,7 @@ tracks ran. `tuning.SLIP` has the default constants; `rhec.calibrate` identifies
 import casadi as ca
 
 from rhec import paper
-from rhec.core.model.base import Model, MotionNoise
+from rhec.core.model.robot_model import Model, MotionNoise
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.kinematics import SPEED_MODELS, SpeedModel
 

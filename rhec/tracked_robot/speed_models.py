@@ -7,7 +7,7 @@ import functools
 
 import casadi as ca
 
-from rhec.core.model.base import Model, MotionNoise
+from rhec.core.model.robot_model import Model, MotionNoise
 from rhec.tracked_robot.kinematics import DRIFTING_SPEED_MODELS, SPEED_MODELS, SpeedModel
 from rhec.tracked_robot.sensors import YAW, records
 

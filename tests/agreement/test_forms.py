@@ -24,10 +24,10 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.estimator.base import joint_guess
+from rhec.core.estimator.estimate import joint_guess
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
-from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, SENSORS
+from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, POSE, SENSORS
 
 TOLERANCE = 1e-9
 ANSWERS = [*ESTIMATE, *COMMAND]
@@ -49,19 +49,14 @@ def virtual_machine(scenario, run, folder):
 
 
 def live(scenario, run, folder):
-    """Objects in plain Python, on a robot in plain Python unless that has no such sensors."""
-    names = [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
-    robot = None if scenario.sensors or scenario.faults else LiveRobot(scenario)
+    """Objects in plain Python, on a robot in plain Python."""
+    robot = LiveRobot(scenario)
     step = live_step(scenario)
     rows = []
-    before = 0.0
-    for z in robot or run.log[names].to_numpy():
+    for z in robot:
         answers = step(z)
         rows.append([*z[:4], *answers])
-        command = answers[6]
-        if robot:
-            robot.drive(before if scenario.command_delay else command)
-        before = command
+        robot.drive(answers[6])
     compared(rows, run.log[[*MEASUREMENTS, *ANSWERS, "kkt_rhe", "kkt_rhc"]].to_numpy(float))
 
 
@@ -120,6 +115,15 @@ def on_arm(scenario, run, folder):
     in_c(scenario, run, folder, toolchain.arm)
 
 
+def driven_by_yaw_rate():
+    """The loops whose controller leaves the speed alone, which no log has."""
+    for name, loop in LOOPS.items():
+        controller = loop.fields.get("controller")
+        if controller is None or "speed_mps" not in controller.step.name_out():
+            marks = () if name in ALWAYS else pytest.mark.nightly
+            yield pytest.param(name, marks=marks)
+
+
 FORMS = (virtual_machine, live, in_lanes, in_c)
 # {loop: its forms in the quick tests}; tests/simulation/test_lanes.py runs more loops in lanes.
 ALWAYS = {
@@ -151,6 +155,20 @@ def fused(name):
     """A loop's scenario and its run by the compiled fused loop."""
     scenario = dataclasses.replace(SMALL, **LOOPS[name].fields)
     return scenario, rhec.simulate(scenario)
+
+
+@pytest.mark.parametrize("name", [*driven_by_yaw_rate()])
+def test_a_robot_in_plain_python_has_all_that_the_loops_robot_has(name):
+    """Driven by the commands of a run, whatever made them, it measures what the run measured."""
+    scenario, run = fused(name)
+    log = run.log
+    columns = [*MEASUREMENTS, *(SENSORS[name] for name in SENSORS if name in scenario.sensors)]
+    robot = LiveRobot(scenario)
+    rows = []
+    for z, command in zip(robot, log["omega_cmd_radps"]):
+        rows.append([*z, *robot.pose])
+        robot.drive(command)
+    compared(rows, log[[*columns, *POSE]].to_numpy())
 
 
 @pytest.mark.parametrize(("name", "form"), [*loops_and_forms()])

@@ -8,7 +8,7 @@ from scipy.optimize import lsq_linear
 
 from notebooks.rivals import by_name, held_traction
 from rhec.core._casadi import packing
-from rhec.tracked_robot import rhe as paper_rhe
+from rhec.tracked_robot import paper_rhe
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 

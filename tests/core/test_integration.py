@@ -7,7 +7,7 @@ from oracles import flat
 from scipy.integrate import solve_ivp
 
 import rhec
-from rhec.core.model import base
+from rhec.core.model import robot_model
 
 MU = 50.0
 X_0 = np.array([2.0, 0.0])
@@ -30,7 +30,7 @@ def slope(_, x):
 
 
 def end_of(model, x=X_0, dt_s=INTERVAL_S):
-    return flat(base.interval(model).step([*x, MU], [0.3], dt_s))[:2]
+    return flat(robot_model.interval(model).step([*x, MU], [0.3], dt_s))[:2]
 
 
 @pytest.mark.parametrize("rule, order", [("rk4", 4), ("radau3", 3), ("radau5", 5)])
@@ -57,7 +57,7 @@ def test_an_implicit_rule_takes_a_stiff_interval_in_one_step(rule):
     "options", [dict(steps=3), dict(rule="radau3", steps=2), dict(rule="radau5")]
 )
 def test_derivatives_are_the_finite_differences(options):
-    interval = base.interval(van_der_pol(**options))
+    interval = robot_model.interval(van_der_pol(**options))
     s, v, h = np.array([*X_0, MU]), np.array([0.3]), 1e-5
     dt_s = 0.05
 
@@ -77,14 +77,14 @@ def test_radau_is_exact_for_a_linear_model_to_its_rational_function():
     model = rhec.Model(**names, f=lambda x, u, p: fast @ x, rule="radau3")
     z = np.array(fast) * 0.1
     expected = np.linalg.solve(np.eye(2) - 2 / 3 * z + z @ z / 6, (np.eye(2) + z / 3) @ [1.0, 2.0])
-    reached = flat(base.interval(model).step([1.0, 2.0], [0.0], 0.1))
+    reached = flat(robot_model.interval(model).step([1.0, 2.0], [0.0], 0.1))
     np.testing.assert_allclose(reached, expected, rtol=1e-12)
 
 
 def test_a_discrete_model_steps_as_its_f_says_and_rests_in_an_interval_of_no_length():
     names = dict(states=("a",), inputs=("w",), parameters={"gain": None}, outputs=("a",))
     model = rhec.Model(**names, f=lambda x, u, p: p[0] * x + u, discrete=True)
-    step = base.interval(model).step
+    step = robot_model.interval(model).step
     assert flat(step([3.0, 0.5], [1.0], 0.2)).tolist() == [2.5, 0.5]
     assert flat(step([3.0, 0.5], [1.0], 0.0)).tolist() == [3.0, 0.5]
 
@@ -120,7 +120,9 @@ def test_f_may_be_a_list_a_column_or_unpacked():
         return b, p[0] * a + w
 
     ends = {
-        tuple(flat(base.interval(rhec.Model(**names, f=f)).step([1.0, 2.0, 3.0], [0.5], 0.1)))
+        tuple(
+            flat(robot_model.interval(rhec.Model(**names, f=f)).step([1.0, 2.0, 3.0], [0.5], 0.1))
+        )
         for f in (
             unpacked,
             lambda x, u, p: [x[1], p[0] * x[0] + u[0]],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles import flat
 
-from rhec.core.model import base
+from rhec.core.model import robot_model
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot.speed_models import speed_model_of
 
@@ -12,7 +12,7 @@ SPEED_MODELS = ["parameter", "input"]
 
 
 def interval_of(speed_model):
-    return base.interval(speed_model_of(speed_model).model)
+    return robot_model.interval(speed_model_of(speed_model).model)
 
 
 def arc(pose, nu, mu, kappa, omega, t):

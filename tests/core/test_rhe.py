@@ -16,8 +16,7 @@ from rhec import paper
 from rhec.core.estimator import rhe as core_rhe
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.rti import RealTimeIteration
-from rhec.tracked_robot import rhe as paper_rhe
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot import paper_rhe, tuning
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.own_loop import Estimate
 

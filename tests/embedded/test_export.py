@@ -26,7 +26,7 @@ from notebooks.studies import toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience
-from rhec.embedded import phases
+from rhec.embedded import exported_functions
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -159,7 +159,7 @@ def test_the_closest_point_equals_path_project():
     ):
         xy = rng.uniform(-20, 40, (300, 2))
         estimates = np.column_stack([xy, np.zeros((300, 4))]).T
-        found = phases.closest(len(target.segments))(
+        found = exported_functions.closest(len(target.segments))(
             estimate=estimates, segments=target.segments.T, length_m=target.length_m
         )["s"]
         _, s = target.project(xy)

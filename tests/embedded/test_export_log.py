@@ -9,7 +9,7 @@ from helpers import recorded_log
 
 import rhec
 from notebooks.studies import toolchain
-from rhec.embedded.phases import operations
+from rhec.embedded.exported_functions import operations
 from rhec.embedded.recorded import build_move, example_of
 from rhec.logs.recording import prepare
 from rhec.logs.replay import replay_of

@@ -14,7 +14,7 @@ from nbclient import NotebookClient
 import rhec
 from notebooks import tutorial_checks
 from rhec import paper
-from rhec.core.model import base
+from rhec.core.model import robot_model
 from rhec.tracked_robot import kinematics as model
 
 TUTORIAL = Path(__file__).parents[2] / "notebooks/01_tutorial.ipynb"
@@ -76,7 +76,7 @@ def test_no_exercise_is_solved_before_it_is_answered(executed):
 
 
 def rk4(xi, omega, p):
-    return base.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
+    return robot_model.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
 
 
 def midpoint(xi, omega, p):

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers import no_compiler
 
@@ -179,13 +180,87 @@ def test_the_core_stands_alone(name):
     """Neither a robot nor tables nor pictures come with what any robot needs."""
     loaded = modules_after(f"rhec.{name}")
     rooms = {module.split(".")[1] for module in loaded if module.startswith("rhec.")}
-    assert rooms - {"own_loop"} == {"core", "version"}
+    assert rooms - {"any_robot"} == {"core", "version"}
     assert loaded.isdisjoint({"pandas", "matplotlib", "scipy", "xarray", "loky", "IPython"})
 
 
-def test_without_a_model_the_estimator_is_the_papers():
+# Estimators and controllers: classes, and the same verbs
+
+
+CONTROLLED = dict(model=MODEL, command=("v_mps",), q=(1.0,), r=(1.0,), dt=0.2, horizon=2)
+STRAIGHT = np.array([[0.0, 0.1, 0.2], [0.0] * 3, [0.0] * 3]), np.zeros(2)
+# {name: (how it is made, its class, two samples that its `feedback` takes)}
+OBJECTS = {
+    "RHE": (lambda: rhec.RHE(horizon=2), rhec.RHE, [((0, 0, 0.5, 0),), ((0.1, 0, 0.5, 0),)]),
+    "RHE of a Model": (
+        lambda: rhec.RHE(horizon=2, **SETTINGS),
+        rhec.RHE,
+        [((0.0, 0.5),), ((0.1, 0.5),)],
+    ),
+    "EKF": (lambda: rhec.EKF(**SETTINGS), rhec.EKF, [((0.0, 0.5),), ((0.1, 0.5),)]),
+    "RHC": (
+        lambda: rhec.RHC(horizon=2),
+        rhec.RHC,
+        [((0, y, 0), (0.5, 1, 1), *STRAIGHT) for y in (0.3, 0.2)],
+    ),
+    "RHC of a Model": (
+        lambda: rhec.RHC(**CONTROLLED),
+        rhec.RHC,
+        [((x,), (0.1, 0.0), 1.0) for x in (0.3, 0.5)],
+    ),
+}
+
+
+def numbers(answer):
+    """A command, or the beginning of an estimate, as one vector."""
+    parts = answer[:2] if isinstance(answer, tuple) else (answer,)
+    return np.concatenate([*map(np.ravel, parts)])
+
+
+def answers_of(made, samples):
+    """What an object answers to samples in turn, as numbers."""
+    answers = []
+    for sample in samples:
+        made.prepare()
+        answers.append(numbers(made.feedback(*sample)))
+    return answers
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_every_estimator_and_controller_has_the_same_verbs(name):
+    make, kind, samples = OBJECTS[name]
     with no_compiler():
-        assert isinstance(rhec.RHE(horizon=2), own_loop.RHE)
+        made, stepping = make(), make()
+    assert isinstance(made, kind) and repr(made).startswith(kind.__name__)
+    assert not made.ok and made.status
+    expected = answers_of(made, samples)
+    assert made.ok and made.status == ""
+    for sample, wanted in zip(samples, expected):
+        np.testing.assert_array_equal(numbers(stepping.step(*sample)), wanted)
+    made.restart()
+    assert not made.ok and made.status
+    np.testing.assert_array_equal(answers_of(made, samples), expected)
+
+
+def test_without_a_model_they_are_the_papers():
+    with no_compiler():
+        assert isinstance(rhec.RHE(horizon=2, model=None), own_loop.RHE)
+        assert isinstance(rhec.RHC(horizon=2, model=None), own_loop.RHC)
+        assert not isinstance(rhec.RHE(horizon=2, **SETTINGS), own_loop.RHE)
+
+
+def test_a_class_of_ones_own_derives_from_an_estimator():
+    class Counting(rhec.RHE):
+        samples = 0
+
+        def feedback(self, z, sigma_w=None):
+            self.samples += 1
+            return super().feedback(z, sigma_w)
+
+    with no_compiler():
+        made = Counting(horizon=2, **SETTINGS)
+    made.step((0.0, 0.5))
+    assert type(made) is Counting and made.samples == 1
 
 
 @pytest.mark.nightly

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import rhec
-from rhec.core.estimator.rhe import RHE
 from rhec.simulation.metrics import Metrics
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -67,7 +66,7 @@ def test_any_robot() -> None:
         f=lambda x, u, p: u * (1 - p),
     )
     noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.01), guess=(0, 0), sigma_guess=(1, 1))
-    rhe = assert_type(rhec.RHE(model=model, dt=0.2, horizon=5, **noise), RHE)
+    rhe = assert_type(rhec.RHE(model=model, dt=0.2, horizon=5, **noise), rhec.RHE)
     ekf = rhec.EKF(model=model, dt=0.2, **noise)
     for estimator in (rhe, ekf):
         estimator.prepare()

@@ -15,7 +15,7 @@ from notebooks.rivals import by_name
 from notebooks.studies import condensed
 from rhec.core import runner
 from rhec.core._casadi import compiled
-from rhec.core.lanes import lanes, parts
+from rhec.core.lanes import lanes, shared_steps
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
@@ -59,9 +59,9 @@ def rows_of(folder, **fields):
 def texts(tmp_path, monkeypatch):
     """What is compiled, into an empty cache."""
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
-    found, compile_text = [], parts._compile
+    found, compile_text = [], shared_steps._compile
     monkeypatch.setattr(
-        parts, "_compile", lambda *given: found.append(given[1]) or compile_text(*given)
+        shared_steps, "_compile", lambda *given: found.append(given[1]) or compile_text(*given)
     )
     return found
 
@@ -71,7 +71,7 @@ def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, t
     by_parts = rows_of(tmp_path / "parts", estimator="rhe")
     # The steps of estimator and controller, the references, the robot's motion, and the rest.
     assert len(texts) == 5
-    monkeypatch.setattr(parts, "_is_large", lambda function: False)
+    monkeypatch.setattr(shared_steps, "_is_large", lambda function: False)
     whole = rows_of(tmp_path / "whole", estimator="rhe")
     assert len(texts) == 6
     np.testing.assert_array_equal(by_parts, whole)
@@ -88,12 +88,12 @@ def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
 
 @pytest.mark.nightly
 def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeypatch):
-    compile_text = parts._compile
+    compile_text = shared_steps._compile
 
     def broken(folder, text, command):
         compile_text(folder, "wrong" if str(command[-1]).startswith("-D") else text, command)
 
-    monkeypatch.setattr(parts, "_compile", broken)
+    monkeypatch.setattr(shared_steps, "_compile", broken)
     assert rows_of(tmp_path / "parts") is None
 
 

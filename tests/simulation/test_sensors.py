@@ -11,8 +11,8 @@ from rhec import paper
 from rhec.explorer import controls
 from rhec.simulation import closed_loop, fault_signals, faults
 from rhec.simulation.offline import run_estimator
+from rhec.tracked_robot.paper_rhe import settings_of
 from rhec.tracked_robot.plant import Normal, draw_noise
-from rhec.tracked_robot.rhe import settings_of
 from rhec.tracked_robot.sensors import SENSORS
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")

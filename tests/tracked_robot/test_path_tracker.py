@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.core.estimator.base import Estimate
+from rhec.core.estimator.estimate import Estimate
 
 PATH = rhec.Path.from_segments([(5.0, 0.0), (4.0, 0.3), (3.0, -0.5), (9.0, 0.0)], (1.0, 2.0, 0.4))
 NAMES = dict(position=("x_m", "y_m"), heading="yaw_rad")

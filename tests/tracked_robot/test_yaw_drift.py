@@ -15,7 +15,7 @@ from rhec.core.controller import rhc
 from rhec.tracked_robot import yaw_disturbance
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.rhc import stages_of
+from rhec.tracked_robot.paper_rhc import stages_of
 
 HORIZON = 8
 TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 from rhec.logs.recording import with_ages
 from rhec.logs.replay import POSITION_AND_ENCODERS, Replay, estimated
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA

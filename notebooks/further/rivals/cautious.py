@@ -29,7 +29,7 @@ from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import init as plan_init
 from rhec.simulation.closed_loop import first_guess
-from rhec.tracked_robot import rhc, yaw_disturbance
+from rhec.tracked_robot import paper_rhc, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
@@ -57,7 +57,7 @@ def build_speed(states, n_segments, dt_s):
     @casadi_function(
         "cautious_speed",
         speed=one,
-        s=one,
+        s_m=one,
         estimate=(6, 1),
         covariance=(len(states), len(states)),
         upper=one,
@@ -66,15 +66,15 @@ def build_speed(states, n_segments, dt_s):
         speed_mps=one,
         caution=one,
     )
-    def speed(speed, s, estimate, covariance, upper, segments, period_m, speed_mps, caution):
+    def speed(speed, s_m, estimate, covariance, upper, segments, period_m, speed_mps, caution):
         P = selection @ covariance @ selection.T
         set_speed = ca.fabs(speed_mps)
         largest_mu = ca.fmin(estimate[4] + caution * ca.sqrt(P[4, 4]), 1)
         least_kappa = ca.fmax(estimate[5] - caution * ca.sqrt(P[5, 5]), 0)
         in_reach = largest_mu, least_kappa * upper
-        pose, curvature = pose_at(s, segments, period_m)
+        pose, curvature = pose_at(s_m, segments, period_m)
         limit = _limit_by_tolerance(estimate, P, pose, curvature, speed_mps, caution)
-        for in_curve, distance in _curves(s, segments, period_m, in_reach, set_speed):
+        for in_curve, distance in _curves(s_m, segments, period_m, in_reach, set_speed):
             # ν² = ν_c² + 2 a d: so fast it may be at the distance d from what allows ν_c.
             brakes = 2 * ACCELERATION_MPS2 * ca.fmax(distance - NOSE_M, 0)
             limit = ca.fmin(limit, ca.sqrt(in_curve**2 + brakes))
@@ -152,7 +152,7 @@ def controller(scenario, caution=0.25):
         len(path.segments),
     )
     guess = first_guess(scenario, path)
-    plan = plan_init(rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
+    plan = plan_init(paper_rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
     memory = (*pack_array(plan).tolist(), scenario.speed_mps)
     return _made(compiled.loop_symbols(), structure, caution, memory)
 
@@ -162,7 +162,7 @@ def controller(scenario, caution=0.25):
 def _made(symbols, structure, caution, memory):
     """The Controller; `symbols` is the kind that Functions may use, which depends on a compiler."""
     states, has_yaw_drift, N, timing, n_segments = structure
-    control = rhc.build_step(N, timing)
+    control = paper_rhc.build_step(N, timing)
     if has_yaw_drift:
         control = _compensated(control)
     return rhec.Controller(build_step(control, states, n_segments, paper.DT_S, caution), memory)

@@ -16,8 +16,8 @@ import casadi as ca
 import rhec
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.controller import rhc
+from rhec.tracked_robot.paper_rhc import stages_of
 from rhec.tracked_robot.references import LEAST_KAPPA
-from rhec.tracked_robot.rhc import stages_of
 
 
 def controller(scenario):

@@ -7,7 +7,15 @@ import functools
 from collections.abc import Callable
 from difflib import get_close_matches
 from inspect import signature
-from typing import Annotated, Any, ParamSpec, TypeVar, dataclass_transform, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    dataclass_transform,
+    get_type_hints,
+)
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, validate_call
@@ -119,6 +127,20 @@ def of_length(name, values, wanted, of):
     """Refuse, in one sentence, values that are not as many as wanted, one for each `of`."""
     if len(values) != wanted:
         refuse(f"{name} was", values, f"it should have {wanted} entries, one for each {of}")
+
+
+class Doc(NamedTuple):
+    """What a parameter means: `Annotated[Positive, Doc("Length of the run.", unit="s")]`.
+
+    Attributes:
+        text: Sentences, without unit and range; each space in them may be a line break.
+        unit: The parameter's unit, "" where it has none.
+        group: The group of parameters that it belongs to.
+    """
+
+    text: str
+    unit: str = ""
+    group: str = ""
 
 
 _P = ParamSpec("_P")

@@ -20,11 +20,11 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core.controller.bounds import Bound
 from rhec.core.controller.initial_plan import checked_plan, planned_memory
-from rhec.core.controller.options import Options, problem_of
 from rhec.core.controller.phases import build_phases, init
-from rhec.core.model.base import Model
+from rhec.core.controller.problem import Options, problem_of
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
 
 FIRST_ITERATIONS = 100  # at most, on the first sample, for which there is no previous plan

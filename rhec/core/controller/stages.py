@@ -24,8 +24,8 @@ import casadi as ca
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
-from rhec.core.model.base import Model, interval
 from rhec.core.model.limits import MAX_QP_ENTRY
+from rhec.core.model.robot_model import Model, interval
 from rhec.core.solver.interior_point import NO_PRICE
 
 

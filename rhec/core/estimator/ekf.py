@@ -13,18 +13,18 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.validation import NotNegatives, Positive, Positives, Reals, checked
-from rhec.core.estimator.base import joint_estimate, joint_guess, noise_of, noise_shapes
+from rhec.core.estimator.estimate import joint_estimate, joint_guess, noise_of, noise_shapes
 from rhec.core.estimator.filter import Filter, Noise, where_defined
-from rhec.core.model import base
-from rhec.core.model.base import Model
+from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
-from rhec.core.solver.rti import copy_checked
+from rhec.core.model.robot_model import Model
+from rhec.core.solver.rti import NO_SAMPLE, copy_checked
 
 
 def build(model, dt_s):
     """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
-    kalman = Filter(where_defined(base.interval(model)), dt_s)
+    kalman = Filter(where_defined(robot_model.interval(model)), dt_s)
     shapes = dict(z_N=(len(model.outputs), 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
     @with_packed_memory("ekf_step", kalman.memory_shapes, ca.SX, **shapes)
@@ -93,7 +93,7 @@ class EKF:
         """Do nothing: the filter does all its work in `feedback`."""
 
     def step(self, z: Any) -> Any:
-        """Estimate from the newest measurement: `feedback`, by the name that RHE and RHC have.
+        """One sample of a loop that prepares nothing: `prepare()`, then `feedback(z)`.
 
         Args:
             z: (n_z,) measurements; an entry that is not finite counts as missing.
@@ -114,6 +114,15 @@ class EKF:
         results = self._call.results
         numbers = np.concatenate([results["estimate"], results["covariance"]])
         return bool(np.all(np.abs(numbers) <= MAX_PLAUSIBLE_STATE))
+
+    @property
+    def status(self) -> str:
+        """Why the last estimate was not `ok`, as a sentence; empty if it was."""
+        if self.ok:
+            return ""
+        if not self._started:
+            return NO_SAMPLE
+        return "the estimate or its covariance is not plausible; restart() starts from the guess"
 
     def feedback(self, z: Any) -> Any:
         """Estimate from the newest measurement.

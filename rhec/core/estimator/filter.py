@@ -12,7 +12,7 @@ import numpy as np
 
 from rhec.core._casadi.build import every
 from rhec.core.estimator import kalman
-from rhec.core.model.base import Interval
+from rhec.core.model.robot_model import Interval
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.gauss_newton import symmetric
 

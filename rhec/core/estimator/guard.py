@@ -10,7 +10,7 @@ feedback. What it says then reaches all phases by `with_guard`:
 - feedback solves with what is used; its `ok` is 0 where the sample contradicts the prediction;
 - expand keeps the window, or restarts it, and remembers what was used;
 - the newest interval is linearised at its input as it is used (`newest_interval`);
-- shift and linearise have the noise that was used at each node: Q of the interval before it, where
+- shift and linearise have the noise that was used at each node: W of the interval before it, where
   process noise acts within the window (`window_noise`).
 
 The words, here and there:
@@ -34,19 +34,19 @@ from rhec.core.estimator import newest_interval, noise_level
 # a sample without iterations is 0.
 ITERATED = "iterated_feedback"
 
-# The noise Q of the window's intervals, which is remembered where process noise acts within it.
+# The noise W of the window's intervals, which is remembered where process noise acts within it.
 
 
 def noise_memory(window):
-    """{name: shape} of the noise Q of all intervals, where they differ."""
-    return dict(Q_window=window.noises["Q"]) if window.noisy else {}
+    """{name: shape} of the noise W of all intervals, where they differ."""
+    return dict(W_window=(window.interval.n_s, window.N)) if window.noisy else {}
 
 
 def whole_noise(window, values):
-    """{"Q": columns of all intervals}, the newest as it is used; empty without such noise."""
+    """{"W_window": columns of all intervals}, the newest as used; empty without such noise."""
     if not window.noisy:
         return {}
-    return dict(Q=ca.horzcat(values["Q_window"][:, :-1], values["Q_used"]))
+    return dict(W_window=ca.horzcat(values["W_window"][:, :-1], values["W_used"]))
 
 
 # The phases
@@ -58,8 +58,7 @@ def _shapes(function, *without):
 
 
 def _call(function, values):
-    """A Function of these values, in which Q is that of all intervals."""
-    values = values | dict(Q=values.get("Q_window"))
+    """A Function of those of these values that it takes."""
     arguments = [values[name] for name in function.name_in()]
     # Inlined, an MX Function does not copy its results into those of the one around it.
     results = function.call(arguments, function.is_a("MXFunction"), False)
@@ -72,19 +71,19 @@ def noise_as_used(window, values, scale):
 
 
 def _wrap_shift(window, shift_of_rhe, memory, symbols):
-    @casadi_function("guarded_shift", symbols, **_shapes(shift_of_rhe, "Q"), **memory)
+    @casadi_function("guarded_shift", symbols, **_shapes(shift_of_rhe) | memory)
     def shift(**inputs):
         pieces = {name: inputs[name] for name in memory}
         if window.noisy:  # the newest column is not known before the feedback
-            Q = inputs["Q_window"]
-            pieces["Q_window"] = ca.horzcat(Q[:, 1:], Q[:, -1])
+            W = inputs["W_window"]
+            pieces["W_window"] = ca.horzcat(W[:, 1:], W[:, -1])
         return _call(shift_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"])) | pieces
 
     return shift
 
 
 def _wrap_linearise(window, linearise_of_rhe, symbols):
-    shapes = _shapes(linearise_of_rhe, "Q") | noise_memory(window) | dict(noise_scale=(1, 1))
+    shapes = _shapes(linearise_of_rhe) | dict(noise_scale=(1, 1))
 
     @casadi_function("guarded_linearise", symbols, **shapes)
     def linearise(**inputs):
@@ -99,14 +98,11 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
     intervals = newest_interval.build(window, judge) if window.at_measured_input else None
     shapes = _shapes(feedback_of_rhe) | _shapes(function, *newest_interval.VARIANTS)
     shapes |= newest_interval.needs(window) if intervals else {}
-    # The process noise of the sample has the name of the one by which the arrival cost grows.
-    if window.noisy:
-        shapes["W"] = shapes.pop("Q")
 
     @casadi_function("guarded_feedback", symbols, **shapes)
     def feedback(**inputs):
-        used = dict(Q_used=inputs["W"]) if window.noisy else {}
-        given = inputs | dict(Q=inputs.get("W"))
+        used = dict(W_used=inputs["W"]) if window.noisy else {}
+        given = dict(inputs)
         if intervals:
             given |= intervals(**select_inputs(intervals, given))
         verdict = function(**select_inputs(function, given))
@@ -116,8 +112,8 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         given["z_N"] = verdict["z_used"]
         given["P_N"] = verdict.pop("P_used")
         given["m_N"] = verdict.pop("m_used")
-        if "Q_window" in given:  # the feedback solves for all of the window
-            given["Q_window"] = whole_noise(window, given | used)["Q"]
+        if "W_window" in given:  # the feedback solves for all of the window
+            given |= whole_noise(window, given | used)
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
         concluded = judge.conclude(window, inputs, verdict, result)
         for name in ("agrees", "as_measured", "is_rejected"):
@@ -144,12 +140,13 @@ def _first_and_later(window, feedback, symbols):
 def _wrap_expand(window, expand_of_rhe, symbols):
     restarted = window.judge.build_restarted(window)
     pieces = window.judge.memory(window)
-    shapes = _shapes(expand_of_rhe, "z_N", "Q") | noise_memory(window)
+    shapes = _shapes(expand_of_rhe, "z_N") | noise_memory(window)
     shapes |= dict(z_used=expand_of_rhe.sparsity_in("z_N"), kept=(1, 1), scale_used=(1, 1))
     if window.noisy:
-        shapes |= dict(Q_used=window.noise["Q"])
+        shapes |= dict(W_used=window.noise["W"])
     shapes |= {f"{name}_after": shape for name, shape in pieces.items()}
-    shapes |= _shapes(restarted, "goes_on", "Q", *shapes) | dict(restart=(1, 1))
+    known = ("goes_on", "W") if window.noisy else ("goes_on",)
+    shapes |= _shapes(restarted, *known, *shapes) | dict(restart=(1, 1))
     pieces_of_newest = newest_interval.pieces_of(window) if window.at_measured_input else {}
     shapes |= {f"{name}_taken": shape for name, shape in pieces_of_newest.items()}
     shapes |= dict(is_only_step=(1, 1)) if pieces_of_newest else {}
@@ -166,13 +163,14 @@ def _wrap_expand(window, expand_of_rhe, symbols):
         if pieces_of_newest:
             within = newest_interval.within_range(window, result["v"], inputs["v"], inputs["V"])
             result["v"] = ca.if_else(inputs["is_only_step"], within, result["v"])
-        memory = result | {f"{name}_window": value for name, value in noises.items()}
+        memory = result | noises
         memory |= {name: inputs[f"{name}_after"] for name in pieces}
         is_alone = inputs["restart"]
         if window.doubts_model:
             settles = inputs["kept"] * (inputs["settling_after"] > 0)
             is_alone = ca.logic_or(is_alone, settles)
-        newest = dict(Q=inputs.get("Q_used"), goes_on=1 - is_alone)
+        newest = dict(goes_on=1 - is_alone)
+        newest |= dict(W=inputs["W_used"]) if window.noisy else {}
         memory |= restarted(**select_inputs(restarted, inputs | memory | newest))
         return memory | dict(kkt=kkt)
 

@@ -22,7 +22,7 @@ import functools
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
-from rhec.core.model import base
+from rhec.core.model import robot_model
 from rhec.core.model.limits import is_plausible
 from rhec.core.solver.gauss_newton import symmetric
 
@@ -36,7 +36,7 @@ _COLUMNS = dict(s="s_N", v="v_N", F="F_newest", D="D_newest", B="B_N")
 @functools.cache
 def bends(model):
     """Whether an interval's slopes depend on its measured inputs: otherwise nothing changes."""
-    interval = base.interval(model)
+    interval = robot_model.interval(model)
     s, v, dt_s = interval.linearised.sx_in()
     _, D, B = interval.linearised(s, v, dt_s)
     measured = v[[*interval.input_outputs]]

@@ -14,7 +14,9 @@ parameters q remains. Its multipliers then run backwards through the window and 
 unknowns (Bryson-Frazier smoother). Each of these passes costs O(N).
 """
 
+import functools
 from collections import namedtuple
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -24,7 +26,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
 from rhec.core.estimator import kalman, newest_interval, window_bounds, window_noise
-from rhec.core.estimator.base import (
+from rhec.core.estimator.estimate import (
     joint_estimate,
     joint_guess,
     noise_of,
@@ -33,10 +35,10 @@ from rhec.core.estimator.base import (
 )
 from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, whole_noise, with_guard
 from rhec.core.estimator.innovation_gate import InnovationGate
-from rhec.core.model import base
-from rhec.core.model.base import Model
+from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
+from rhec.core.model.robot_model import Model
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.line_search import PENALTY, line_search
@@ -102,7 +104,7 @@ class Window(NamedTuple):
         """The model's shooting interval."""
         if self.noisy:
             return window_noise.noisy_interval(self.model, self.dt_s)
-        return base.interval(self.model)
+        return robot_model.interval(self.model)
 
     @property
     def shapes(self):
@@ -125,8 +127,7 @@ class Window(NamedTuple):
     @property
     def memory(self):
         """Shapes of all that is remembered, by name."""
-        of_judge = self.judge.memory(self) if self.judge else {}
-        return self.pieces._asdict() | noise_memory(self) | of_judge
+        return _memory_of(self)
 
     @property
     def doubts_model(self):
@@ -150,20 +151,20 @@ class Window(NamedTuple):
     def noise(self):
         """Shapes at one node: variances V of measurements, constants c of noise by motion.
 
-        In a noisy window also the variances Q of the process noise of the interval before the node.
+        In a noisy window also the variances W of the process noise of the interval before the node.
         """
         noise = noise_shapes(self.model)
-        return noise | dict(Q=(self.interval.n_s, 1)) if self.noisy else noise
+        return noise | dict(W=(self.interval.n_s, 1)) if self.noisy else noise
 
     @property
     def noises(self):
-        """Shapes for the whole window: Q has one column for each interval."""
-        return self.noise | (dict(Q=(self.interval.n_s, self.N)) if self.noisy else {})
+        """Shapes for the whole window: W_window has the W of each interval, in columns."""
+        return noise_shapes(self.model) | noise_memory(self)
 
     def at(self, node, **noises):
-        """V, c and Q of one node, from those of the whole window."""
+        """V, c and W of one node, from those of the whole window."""
         if self.noisy:  # before the oldest node lies no interval of the window
-            noises["Q"] = noises["Q"][:, max(node - 1, 0)]
+            noises["W"] = noises.pop("W_window")[:, max(node - 1, 0)]
         return noises
 
     @property
@@ -184,6 +185,14 @@ class Window(NamedTuple):
         """
         v_m, R_v = self.interval.input_noise(z, v, **noise)
         return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
+
+
+# A loop needs its shapes each time it is set up, and its judge takes most of that time.
+@functools.cache
+def _memory_of(window):
+    """Shapes of all that a Window remembers, by name."""
+    of_judge = window.judge.memory(window) if window.judge else {}
+    return MappingProxyType(window.pieces._asdict() | noise_memory(window) | of_judge)
 
 
 def _bounded(interval):

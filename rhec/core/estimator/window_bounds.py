@@ -198,13 +198,8 @@ def _build_feedback(window, phases, qp):
     """The feedback, which ends with the QP of the whole window."""
     free = phases["feedback"]
     smooth = phases["expand"]
-    # Noises of all nodes have other names than that of the newest one.
-    of_nodes = dict(Q="Q_window") if window.noisy else {}
-    names = {of_nodes.get(name, name): name for name in smooth.name_in()}
     shapes = {
-        name: smooth.sparsity_in(of_smooth)
-        for name, of_smooth in names.items()
-        if name not in free.name_out()
+        name: smooth.sparsity_in(name) for name in smooth.name_in() if name not in free.name_out()
     }
     shapes |= {name: free.sparsity_in(name) for name in free.name_in()}
 
@@ -212,7 +207,6 @@ def _build_feedback(window, phases, qp):
     def feedback(**inputs):
         found = free(**select_inputs(free, inputs))
         of_window = inputs | found | dict(z=ca.horzcat(inputs["z"][:, : window.N], inputs["z_N"]))
-        of_window |= {name: inputs[of_nodes[name]] for name in of_nodes}
         smoothed = smooth(**select_inputs(smooth, of_window))
         best = dict(s_best=smoothed["s"], v_best=smoothed["v"])
         solution = qp(**select_inputs(qp, of_window), **best)

@@ -2,33 +2,34 @@
 
 The intervals of the window need not follow the model exactly:
 
-    s_{i+1} = F(s_i, v_i) + w_i,  w_i ~ N(0, diag Q_i)
+    s_{i+1} = F(s_i, v_i) + w_i,  w_i ~ N(0, diag W_i)
 
-The noise w (n_s,) is estimated like an input that is measured to be zero with the variances Q. To
-the phases of the RHE it is the end of v. Q may differ by interval: the window remembers those of
-its intervals, and feedback takes those of the newest one, W (`guard`).
+The noise w (n_s,) is estimated like an input that is measured to be zero with the variances W. To
+the phases of the RHE it is the end of v. W may differ by interval: the window remembers those of
+its intervals, W_window, and feedback takes that of the newest one (`guard`). They are the W of
+eq. (9): with it in the window, none is left to add to the arrival cost.
 """
 
 import functools
 
 import casadi as ca
 
-from rhec.core.model import base
+from rhec.core.model import robot_model
 
 # A state without noise has this variance: beside any other none, and its share of the cost is a
 # number.
 _NO_NOISE = 1e-30
 
 
-class NoisyInterval(base.Interval):
+class NoisyInterval(robot_model.Interval):
     """A shooting interval whose inputs v end with the process noise w (n_s,)."""
 
-    def input_noise(self, z, v, V, c=None, *, Q):
-        """Mean and variances (n_v,) of inputs and noise; Q (n_s,) are the noise's variances."""
-        of_inputs = base.Interval(*self)._replace(n_v=self.n_v - self.n_s)
+    def input_noise(self, z, v, V, c=None, *, W):
+        """Mean and variances (n_v,) of inputs and noise; W (n_s,) are the noise's variances."""
+        of_inputs = robot_model.Interval(*self)._replace(n_v=self.n_v - self.n_s)
         mean, variance = of_inputs.input_noise(z, v, V, c)
         motion_noise = self.motion_noise
-        added = motion_noise.process(mean, Q, None, c) if motion_noise else Q
+        added = motion_noise.process(mean, W, None, c) if motion_noise else W
         none = ca.SX.zeros(self.n_s)
         return ca.vertcat(mean, none), ca.vertcat(variance, ca.fmax(added, _NO_NOISE))
 
@@ -40,7 +41,7 @@ class NoisyInterval(base.Interval):
 @functools.cache
 def noisy_interval(model, dt_s):
     """The NoisyInterval of a Model whose samples are dt_s [s] apart."""
-    exact = base.interval(model)
+    exact = robot_model.interval(model)
     s = ca.SX.sym("s", exact.n_s)
     v = ca.SX.sym("v", exact.n_v + exact.n_s)
     length_s = ca.SX.sym("dt_s")

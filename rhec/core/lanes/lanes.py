@@ -17,7 +17,7 @@ from pathlib import Path
 import casadi as ca
 
 from rhec.core._casadi import cache, compiled
-from rhec.core.lanes.parts import compile_by_parts
+from rhec.core.lanes.shared_steps import compile_by_parts
 from rhec.core.runner import OneByOne, Program
 
 # These passes take a fifth of the time to compile, and gain nothing. Clang refuses the flags.

@@ -22,6 +22,7 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core._casadi.compiled import BufferedFunction
 from rhec.core._casadi.validation import Steps, checked, shown
 
+NO_SAMPLE = "no sample was used yet"
 PHASES = ("shift", "linearise", "feedback", "expand")
 IMPROVE = "improve"  # optional: one iteration without shift, whose step may be shortened
 
@@ -250,6 +251,8 @@ class RealTimeLoop:
         """Why the last step was not `ok`, as a sentence; empty if it was."""
         if self.ok:
             return ""
+        if not self.iteration.started:
+            return NO_SAMPLE
         if np.isnan(self.kkt):
             return self._unsolved
         return "the iterations ended far from a solution; more of them would help"

@@ -1,27 +1,21 @@
 """`rhec.RHE` and `rhec.RHC`: estimator and controller of a control loop that a user writes.
 
-With a `model` they are those of that rhec.Model, without one those of the paper's robot.
+With a `model` they are those of that rhec.Model. Without one they are those of the paper's robot,
+classes that derive from these. Those are imported when one of them is made, because a Model needs
+nothing of the paper's robot.
 """
 
 from typing import TYPE_CHECKING, Any, overload
 
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.core.model.base import Model
+from rhec.core.model.robot_model import Model
 
 if TYPE_CHECKING:
     from rhec.tracked_robot import own_loop
 
 
-@overload
-def RHE(*, model: Model, **options: Any) -> rhe.RHE: ...
-
-
-@overload
-def RHE(*, model: None = None, **options: Any) -> "own_loop.RHE": ...
-
-
-def RHE(*, model: Model | None = None, **options: Any) -> rhe.RHE:
+class RHE(rhe.RHE):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     Args:
@@ -32,29 +26,26 @@ def RHE(*, model: Model | None = None, **options: Any) -> rhe.RHE:
             speed_model, slip, arrival_mean, sensors, sigma_gyro, sigma_heading,
             track_width_m, yaw_drift and guess.
 
-    Returns:
-        An object of that class, whose `help` explains options and methods.
-
     Raises:
         ValueError: If an option is invalid.
     """
-    if model is not None:
-        return rhe.RHE(model=model, **options)
-    # Imported here, because a Model needs nothing of the paper's robot.
-    from rhec.tracked_robot import own_loop
 
-    return own_loop.RHE(**options)
+    @overload
+    def __new__(cls, *, model: Model, **options: Any) -> "RHE": ...
+
+    @overload
+    def __new__(cls, *, model: None = None, **options: Any) -> "own_loop.RHE": ...
+
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
+        """An RHE of the model, or of the paper's robot."""
+        if cls is not RHE or model is not None:
+            return super().__new__(cls)
+        from rhec.tracked_robot import own_loop
+
+        return super().__new__(own_loop.RHE)
 
 
-@overload
-def RHC(*, model: Model, **options: Any) -> rhc.RHC: ...
-
-
-@overload
-def RHC(*, model: None = None, **options: Any) -> "own_loop.RHC": ...
-
-
-def RHC(*, model: Model | None = None, **options: Any) -> rhc.RHC:
+class RHC(rhc.RHC):
     """Model predictive control in a user's own loop: `prepare()`, then `feedback(…)`, each sample.
 
     Args:
@@ -64,14 +55,20 @@ def RHC(*, model: Model | None = None, **options: Any) -> rhc.RHC:
             Without one those of `rhec.tracked_robot.own_loop.RHC`: q, r, qn_factor, omega_max, dt,
             horizon and qp.
 
-    Returns:
-        An object of that class, whose `help` explains options and methods.
-
     Raises:
         ValueError: If an option is invalid.
     """
-    if model is not None:
-        return rhc.RHC(model=model, **options)
-    from rhec.tracked_robot import own_loop
 
-    return own_loop.RHC(**options)
+    @overload
+    def __new__(cls, *, model: Model, **options: Any) -> "RHC": ...
+
+    @overload
+    def __new__(cls, *, model: None = None, **options: Any) -> "own_loop.RHC": ...
+
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
+        """An RHC of the model, or of the paper's robot."""
+        if cls is not RHC or model is not None:
+            return super().__new__(cls)
+        from rhec.tracked_robot import own_loop
+
+        return super().__new__(own_loop.RHC)

@@ -29,9 +29,9 @@ from rhec.tracked_robot import path, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
+from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhe import init as window_init_by_name
 from rhec.tracked_robot.references import build_references
-from rhec.tracked_robot.rhc import stages_of
-from rhec.tracked_robot.rhe import init as window_init_by_name
 from rhec.tracked_robot.sensors import records
 
 # The entries of a measurement z of the paper's robot; those of other sensors follow.

@@ -9,9 +9,9 @@ import numpy as np
 from rhec.core._casadi.validation import numbers, of_length, refuse
 from rhec.core.controller.bounds import NONE, bounds_of
 from rhec.core.controller.stages import Outputs, Stages, linearised_outputs
-from rhec.core.model.base import Model
 from rhec.core.model.expressions import expression_of
 from rhec.core.model.limits import MAX_QP_ENTRY
+from rhec.core.model.robot_model import Model
 from rhec.core.solver.interior_point import NO_PRICE
 
 _DEFINITE = -1e-9  # smallest eigenvalue of a weight, relative to its largest

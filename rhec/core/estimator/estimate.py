@@ -5,8 +5,8 @@ from collections import namedtuple
 import numpy as np
 
 from rhec.core._casadi.validation import of_length, refuse, shown
-from rhec.core.model.base import SIGMA_HELD, SIGMA_UNMEASURED
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
+from rhec.core.model.robot_model import SIGMA_HELD, SIGMA_UNMEASURED
 
 
 class Estimate(namedtuple("Estimate", "x u p covariance")):
