@@ -879,7 +879,7 @@ def test_simulate_refuses_what_is_no_scenario(scenario, sentence):
 # Memory
 
 
-def finished(missing, workers):
+def finished(missing, workers, run_task):
     """In place of the runs: their rows, in parts."""
     keys = [*missing]
     for begin in range(0, len(keys), 300):
@@ -890,7 +890,7 @@ def finished(missing, workers):
 @pytest.mark.nightly
 def test_the_caller_of_a_long_campaign_needs_little_memory_beside_its_scenarios(monkeypatch):
     """At most 500 bytes a run, so 50 MB for 100,000."""
-    monkeypatch.setattr(campaigns, "_run_all", finished)
+    monkeypatch.setattr(campaigns, "run_all", finished)
     scenarios = [rhec.Scenario(seed=seed) for seed in range(6000)]
     rhec.campaign(scenarios[:10])  # imports
     peaks = []

@@ -124,7 +124,10 @@ def _driven(scenarios, folder, workers):
                 progress.update(len(new_rows))
         except KeyboardInterrupt:
             n_done = total - sum(key not in rows for key in missing)
-            raise KeyboardInterrupt(_interrupted(n_done, total, folder)) from None
+            rest = "the same call continues" if folder else "a folder would let it continue"
+            raise KeyboardInterrupt(
+                f"interrupted after {n_done} of {total} runs; {rest} from there"
+            ) from None
     return rows, rows.places(keys)
 
 
@@ -151,12 +154,6 @@ def _are_equal(values):
     first = values[0]
     text = repr(first)
     return all(value is first or repr(value) == text for value in values)
-
-
-def _interrupted(n_done, total, folder):
-    """Return the message of an interrupted campaign."""
-    rest = "the same call continues from there" if folder else "a folder would let it continue"
-    return f"interrupted after {n_done} of {total} runs; {rest}"
 
 
 @contextlib.contextmanager
@@ -265,8 +262,5 @@ def _run_one(scenario):
     try:
         return simulate(scenario).metrics | dict(error="")
     except Exception as error:  # one failing run must not stop the others
-        return store.failed_row(_reason(error))
-
-
-def _reason(error):
-    return f"{type(error).__name__}: {textwrap.shorten(str(error), 300)}"
+        reason = textwrap.shorten(str(error), 300)
+        return store.failed_row(f"{type(error).__name__}: {reason}")
