@@ -60,11 +60,11 @@ def bytes_of_a_drive(drives):
 def measured(engine, drives):
     """What `engines.py` says of an engine, and `cpu_s`: the time of all its processes together."""
     begin = [sys.executable]
-    kill = ["--kill"]
-    if engine == "mpi":  # all of it ends with one of its processes
+    # All of an MPI job ends with one of its processes.
+    kill = [] if engine in ("here", "mpi") else ["--kill"]
+    if engine == "mpi":
         begin = [str(Path(sys.executable).with_name("mpiexec")), "-n", "3", *begin]
         begin += ["-m", "mpi4py.futures"]
-        kill = []
     command = [*begin, str(HERE / "engines.py"), engine, str(drives), *kill]
     before = psutil.Process().cpu_times()
     done = subprocess.run(
