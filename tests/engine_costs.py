@@ -73,8 +73,7 @@ def measured(engine, drives):
     after = psutil.Process().cpu_times()
     used = [getattr(after, of) - getattr(before, of) for of in ("children_user", "children_system")]
     said = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
-    # Workers of loky outlive the process that started them.
-    return said | dict(cpu_s=sum(used) + said["workers_s"])
+    return said | dict(cpu_s=sum(used))
 
 
 def reckoned(cpu_s, moved, kept, memory):
