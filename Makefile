@@ -116,7 +116,7 @@ $(READY): environment.txt pyproject.toml
 .venv/peers: benchmark/peers.txt $(READY)
 	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
 
-# Dask, MPI and ipyparallel, on which campaigns are tested; mpiexec comes from the system.
+# Dask, MPI and ipyparallel, on which campaigns are tested.
 .venv/engines: tests/engines.txt $(READY)
 	@$(PIP) -q --no-deps --require-hashes -r $< && touch $@
 

@@ -434,7 +434,7 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
         for estimator in ("rhe", "ekf")
         for seed in range(16)
     }
-    (task,) = batch.Plan(scenarios).tasks(samples=10**9)
+    (task,) = batch.Plan(scenarios).tasks()
     assert [seed // 8 for _, seed in task] == [0] * 16 + [1] * 16
     assert [estimator for estimator, _ in task] == (["rhe"] * 8 + ["ekf"] * 8) * 2
 
@@ -935,7 +935,7 @@ def test_estimators_of_one_step_that_begin_otherwise_are_other_rows():
 # Memory
 
 
-def finished(missing, workers, readings):
+def finished(missing, workers, run_task):
     """In place of the runs: their rows, in parts."""
     keys = [*missing]
     for begin in range(0, len(keys), 300):
@@ -946,7 +946,7 @@ def finished(missing, workers, readings):
 @pytest.mark.nightly
 def test_the_caller_of_a_long_campaign_needs_little_memory_beside_its_scenarios(monkeypatch):
     """At most 500 bytes a run, so 50 MB for 100,000."""
-    monkeypatch.setattr(campaigns, "_run_all", finished)
+    monkeypatch.setattr(campaigns, "run_all", finished)
     scenarios = [rhec.Scenario(seed=seed) for seed in range(6000)]
     rhec.campaign(scenarios[:10])  # imports
     peaks = []

@@ -97,13 +97,8 @@ class Plan:
         """The mean number of samples of the runs per compiled loop."""
         return self.samples / (1 + int(self._loops.max()))
 
-    @property
-    def samples_per_task(self):
-        """The number of samples of a task that takes about a second."""
-        return _TASK_IN_LANES if self.mean_samples >= _WORTH_COMPILING else _TASK
-
-    def tasks(self, samples):
-        """Yield parts of {key: scenario} with about this number of samples.
+    def tasks(self, least=1):
+        """Yield parts of {key: scenario} that take about a second; less, to make `least` parts.
 
         Runs that share work become neighbours: they are sorted by groups of seeds, which share
         fields and noise, then by loop, then by all parameters except seed and soil, and else keep
@@ -112,6 +107,8 @@ class Plan:
         groups = self._seeds // _SEEDS_TOGETHER
         # `lexsort` takes the first criterion last.
         order = np.lexsort((self._seeds, self._families, self._loops, groups))
+        of_a_second = _TASK_IN_LANES if self.mean_samples >= _WORTH_COMPILING else _TASK
+        samples = min(of_a_second, self.samples / least)
         # Task number of a run = number of samples of all runs before it // size of a task.
         lengths = self._lengths[order]
         numbers = (np.cumsum(lengths) - lengths) // samples

@@ -124,6 +124,8 @@ def _driven(scenarios, folder, workers, readings):
     compiler = compiled.compiler()
     rows_folder = None if folder is None else store.open_folder(folder)
     rows = store.Rows(readings)
+    killed = store.failed_row("BrokenProcessPool: every worker that ran it died")
+    run_task = functools.partial(_run_task, readings=readings)
     keys = [*map(store.scenario_key, scenarios)]
     if rows_folder:
         for kept in store.load_rows(rows_folder, {*keys}):
@@ -132,20 +134,24 @@ def _driven(scenarios, folder, workers, readings):
     missing = {key: scenario for key, scenario in zip(keys, scenarios) if key not in rows}
     with (
         _progress_bar(total, total - len(missing)) as progress,
-        contextlib.closing(_run_all(missing, workers, readings)) as results,
+        contextlib.closing(run_all(missing, workers, run_task)) as results,
     ):
         try:
             for new_rows in results:
                 if compiled.compiler() != compiler:
                     # The compiler failed. Uncompiled rows differ in the last bits, so start again.
                     return _driven(scenarios, folder, workers, readings)
+                new_rows = {key: row or killed for key, row in new_rows.items()}
                 rows.add(new_rows)
                 if rows_folder:
                     store.save_rows(rows_folder, new_rows)
                 progress.update(len(new_rows))
         except KeyboardInterrupt:
             n_done = total - sum(key not in rows for key in missing)
-            raise KeyboardInterrupt(_interrupted(n_done, total, folder)) from None
+            rest = "the same call continues" if folder else "a folder would let it continue"
+            raise KeyboardInterrupt(
+                f"interrupted after {n_done} of {total} runs; {rest} from there"
+            ) from None
     return rows, rows.places(keys)
 
 
@@ -174,12 +180,6 @@ def _are_equal(values):
     return all(value is first or repr(value) == text for value in values)
 
 
-def _interrupted(n_done, total, folder):
-    """Return the message of an interrupted campaign."""
-    rest = "the same call continues from there" if folder else "a folder would let it continue"
-    return f"interrupted after {n_done} of {total} runs; {rest}"
-
-
 @contextlib.contextmanager
 def _progress_bar(total, done):
     """A progress bar of runs, which a terminal or a notebook shows after two seconds."""
@@ -199,44 +199,40 @@ def _progress_bar(total, done):
             timer.cancel()
 
 
-def _run_all(scenarios, workers, readings):
-    """Yield {key: row} for parts of {key: scenario} as they finish."""
-    if not scenarios:
-        return
-    plan = Plan(scenarios)
-    pool = get_workers(workers, is_worth_spreading(plan.samples))
-    if pool is None:
-        for scenario in plan.worth_lanes():
-            compile_lanes(scenario)
-        run_here = functools.partial(_run_task, mean_samples=plan.mean_samples, readings=readings)
-        yield from map(run_here, plan.tasks(plan.samples_per_task))
-    else:
-        yield from _run_on_workers(pool, plan, readings)
-
-
-def _run_on_workers(pool, plan, readings):
-    """Yield {key: row} from workers, which may die.
+def run_all(scenarios, workers, run_task):
+    """Yield {key: result} for parts of {key: scenario} as they finish, on workers that may die.
 
     Tasks that were pending when a worker died run again in smaller parts, at first as many at a
     time as before, then alone, until the parts are single runs. Thus a run that kills its worker
     is found, and work that others kill again and again is done in the end.
+
+    Args:
+        scenarios: {key: scenario}.
+        workers: That of `campaign`.
+        run_task: Function of a part of the scenarios, and of `mean_samples`, that of the Plan of
+            all; it returns {key: result}, and other processes can import it.
+
+    Yields:
+        {key: result}, which may be empty; the result of a run that kills its workers is None.
     """
-    run_task = functools.partial(_run_task, mean_samples=plan.mean_samples, readings=readings)
+    if not scenarios:
+        return
+    plan = Plan(scenarios)
+    pool = get_workers(workers, is_worth_spreading(plan.samples))
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, plan.worth_lanes()):
         yield {}  # lets the caller check the compiler
-    share = plan.samples / (_TASKS_PER_WORKER * pool.count)
-    tasks = plan.tasks(min(plan.samples_per_task, share))
+    run_task = functools.partial(run_task, mean_samples=plan.mean_samples)
+    tasks = plan.tasks(_TASKS_PER_WORKER * pool.count if pool else 1)
     for _ in range(2):
         lost = yield from _finished(map_tasks(pool, run_task, tasks))
         tasks = [part for task in lost for part in _parts(task)]
     deaths = collections.Counter()  # of workers that ran this key and nothing else
-    killed = store.failed_row("BrokenProcessPool: every worker that ran it died")
     while tasks:
         lost = yield from _finished(_one_by_one(pool, run_task, tasks))
         deaths.update(key for task in lost if len(task) == 1 for key in task)
         lethal = {key for key, count in deaths.items() if count == _DEATHS_OF_A_RUN}
-        yield dict.fromkeys(lethal, killed)
+        yield dict.fromkeys(lethal)
         tasks = [part for task in lost for part in _parts(task) if not lethal & part.keys()]
 
 
@@ -304,4 +300,5 @@ def _run_one(scenario, row_of):
 
 
 def _reason(error):
+    """One line that names an error."""
     return f"{type(error).__name__}: {textwrap.shorten(str(error), 300)}"

@@ -302,13 +302,16 @@ def map_tasks(workers, function, tasks):
     all pending tasks have the result None.
 
     Args:
-        workers: The workers of `get_workers`.
+        workers: What `get_workers` returns.
         function: A function of a task.
         tasks: An iterable of tasks.
 
     Raises:
         RuntimeError: If a worker would compute other bits than this process.
     """
+    if workers is None:
+        yield from ((task, function(task)) for task in tasks)
+        return
     function = functools.partial(_like_caller, store.provenance(), function)
     tasks = iter(tasks)
     pending = {}
