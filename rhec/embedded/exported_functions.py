@@ -151,8 +151,13 @@ def export(scenario, estimator_only=False):
 
 
 def _variances(names, covered):
-    """Of each name the place of its variance on the diagonal of a covariance, -1 without one."""
+    """Of each name the place of its variance on the diagonal of a covariance, -1 without one.
+
+    An estimator without a covariance has none.
+    """
     covered = [*covered]
+    if not covered:
+        return ()
     return tuple(covered.index(name) if name in covered else -1 for name in names)
 
 
