@@ -25,6 +25,7 @@ from rhec.logs.summary import Summary
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
+from rhec.tracked_robot import own_loop
 from rhec.tracked_robot.estimators import NAMES, estimator_of
 from rhec.tracked_robot.paper_rhe import SIGMA_START
 
@@ -95,8 +96,12 @@ def _write(folder, texts):
 
 def _of_model(parts):
     """{file: text} of the export of a Model's RHE, RHC or both."""
+    of_model = [part for part in parts if not isinstance(part, own_loop.RHE | own_loop.RHC)]
     by_name = {
-        made.__name__.lower(): part for made in (RHE, RHC) for part in parts if type(part) is made
+        made.__name__.lower(): part
+        for made in (RHE, RHC)
+        for part in of_model
+        if isinstance(part, made)
     }
     if len(by_name) < len(parts):
         raise ValueError(

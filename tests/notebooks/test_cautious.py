@@ -31,7 +31,7 @@ def settled():
         while now != last:
             now, last = flat(
                 speed(
-                    speed=now, s=s, estimate=[x, y, pose[2] + yaw, SET, mu, kappa], covariance=P,
+                    speed=now, s_m=s, estimate=[x, y, pose[2] + yaw, SET, mu, kappa], covariance=P,
                     upper=OMEGA, segments=PATH.segments.T, period_m=PATH.period_m,
                     speed_mps=set_mps, caution=caution,
                 )["speed"]
