@@ -6,8 +6,7 @@ from matplotlib.ticker import LogLocator
 
 import rhec
 from notebooks.studies.tables import interval_text
-from rhec.style import BLACK, COLOURS, DOUBLE_IN
-from rhec.tracked_robot import tuning
+from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
@@ -35,24 +34,10 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
     return figure, panels[0]
 
 
-def noise_text(process_noise):
-    """The rule that picked W of a drive, for a title."""
-    rule = process_noise or tuning.DEFAULT_RULE
-    return {
-        "prediction": "W by prediction",
-        "tracking": "W by tracking",
-        "soft_soil": "W by prediction on soft soil",
-    }.get(rule, f"W {rule}")
-
-
-def turns_text(turns):
-    """Which way the path of a drive turns, for a title."""
-    return {
-        "alternate": "turns to alternate sides",
-        "left": "turns to the left only",
-        "right": "turns to the right only",
-        "figure_of_eight": "a figure of eight",
-    }[turns]
+def panels_apart(n, height_in):
+    """A figure with n panels side by side, each with a y axis of its own."""
+    figure, panels = plt.subplots(1, n, figsize=(DOUBLE_IN, height_in), squeeze=False)
+    return figure, panels[0]
 
 
 def world_text(scenario):
@@ -122,7 +107,7 @@ def rows_axis(axes, labels, quantity):
 
 def note(axes, text, xy, offset=(0, 0), **look):
     """Write small text at an offset [points] from a point."""
-    look = dict(textcoords="offset points", fontsize=7, va="center") | look
+    look = dict(textcoords="offset points", fontsize=SMALL_PT, va="center") | look
     axes.annotate(text, xy, offset, **look)
 
 
@@ -151,6 +136,14 @@ def legend_outside(figure, axes, place, ncols):
     """Add a legend of the entries of the axes at an edge of the figure."""
     entries = axes.get_legend_handles_labels()
     figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
+
+
+def ticks_at_the_ends(axes, ticks):
+    """Limit the x axis to three ticks: both ends, with their labels inside, and the middle."""
+    axes.set_xlim(ticks[0], ticks[-1])
+    axes.set_xticks(ticks, [f"{tick:.2g}".replace("-", "−") for tick in ticks])
+    for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
+        label.set_horizontalalignment(side)
 
 
 def log_axis(axis):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from text_boxes import text_defects
 
 from notebooks.further import constrained_gallery as constrained
 from notebooks.further import gallery
@@ -27,7 +28,9 @@ def test_plans_cost_what_those_of_ipopt_cost(define):
         if name in names and isinstance(bound, tuple):
             states = drive.x[1:, names.index(name)]
             assert np.all((states >= bound[0] - 1e-9) & (states <= bound[1] + 1e-9))
-    assert len(controlled(problem, drive, states=names[:1]).axes) == 2
+    figure = controlled(problem, drive, states=names[:1])
+    assert len(figure.axes) == 1 + len(problem.options["model"].inputs)
+    assert text_defects(figure) == []
 
 
 @pytest.mark.nightly(keep=1)
@@ -40,7 +43,9 @@ def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
     q, r = problem.options["q"], problem.options["r"]
     assert (off**2 @ q).sum() + (drive.u**2 @ r).sum() == pytest.approx(cost, rel=0.01)
     assert np.hypot(*(drive.x[:, :2] - 0.5).T).min() > 0.3 - 1e-9
-    assert len(around_the_obstacle(problem, drive).axes) == 2
+    figure = around_the_obstacle(problem, drive)
+    assert len(figure.axes) == 2
+    assert text_defects(figure) == []
 
 
 @pytest.mark.nightly(keep=1)
@@ -49,7 +54,9 @@ def test_windows_are_solved_as_by_ipopt(define):
     problem = define()
     record = gallery.estimate(problem, seed=3)
     np.testing.assert_allclose(record.iterated, record.ipopt, rtol=1e-6, atol=1e-8)
-    assert len(estimated(problem, record).axes) == 2
+    figure = estimated(problem, record)
+    assert len(figure.axes) == 2 + len(problem.p)
+    assert text_defects(figure) == []
     if problem.p:
         assert record.p_hat[-1] == pytest.approx(problem.p, rel=0.01)
 
