@@ -12,7 +12,7 @@ def _text(*files):
     return "\n".join((_FOLDER / file).read_text(encoding="utf-8") for file in files)
 
 
-CSS = _text("explorer.css")
+CSS = _text("explorer.css", "view.css")
 
 
 class Screen(anywidget.AnyWidget):

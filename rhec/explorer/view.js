@@ -103,7 +103,9 @@ class Views {
     const span = to => from.map((px, i) => [px, to[i]].sort((a, b) => a - b));
     let last = from;
     canvas.setPointerCapture(event.pointerId);
-    canvas.onpointermove = ({ offsetX, offsetY }) => {
+    const done = new AbortController();
+    const on = (kind, act) => canvas.addEventListener(kind, act, { signal: done.signal });
+    on("pointermove", ({ offsetX, offsetY }) => {
       const to = [offsetX, offsetY];
       if (pans) this.choose(view, ...this.moved(view, (px, i) => px + last[i] - to[i]));
       const [[left, right], [top, bottom]] = span(to);
@@ -113,9 +115,10 @@ class Views {
         top: `${canvas.offsetTop + top}px`, height: `${bottom - top}px`,
       });
       last = to;
-    };
-    canvas.onpointerup = canvas.onpointercancel = () => {
-      canvas.onpointermove = canvas.onpointerup = canvas.onpointercancel = null;
+    });
+    on("pointercancel", () => done.abort());
+    on("pointerup", () => {
+      done.abort();
       box.hidden = true;
       const [[left, right], [top, bottom]] = span(last);
       if (pans || right - left < 5) return;
@@ -124,6 +127,6 @@ class Views {
       const [x0, high] = view.plot.data({ offsetX: left, offsetY: flat ? y_0 : top });
       const [x1, low] = view.plot.data({ offsetX: right, offsetY: flat ? y_1 : bottom });
       this.choose(view, [x0, x1], [low, high]);
-    };
+    });
   }
 }
