@@ -61,7 +61,7 @@ class Views {
       const number = value => Number(value.toPrecision(3));
       const said = known.map(({ label, x, y }) =>
         `${label} ${plot.over_time ? "" : `${number(x(k))}, `}${number(y(k))}`);
-      words.value = [...plot.over_time ? [`${number(x(k))} s`] : [], ...said].join(" · ");
+      words.value = [...plot.over_time ? [`${x(k).toFixed(1)} s`] : [], ...said].join(" · ");
     }
   }
 

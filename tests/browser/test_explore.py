@@ -316,8 +316,9 @@ def test_a_pointer_shows_the_values_of_one_sample_in_every_picture(explorer):
         (time_s,) = {float(text.split(" s", 1)[0]) for text in over_time}
         k = round(time_s / 0.2)
         row = run.log.iloc[k]
-        assert f"RHE {row['x_m']:.3g}, {row['y_m']:.3g}" in map_
-        assert any(f"RHE {float(f'{row.error_true_m:.3g}'):g}" in text for text in over_time)
+        x_m, y_m, error_m = (float(f"{row[name]:.3g}") for name in ("x_m", "y_m", "error_true_m"))
+        assert f"RHE {x_m:g}, {y_m:g}" in map_
+        assert any(f"RHE {error_m:g}" in text for text in over_time)
     page.mouse.move(1, 1)
     assert not page.locator(".view-words:visible").count()
 
