@@ -102,7 +102,7 @@ def fault_overview(table, n):
         if place and cases[place - 1][0][0] != cases[place][0][0]:
             for axes in (errors, times):
                 axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
-    log_axis(errors.xaxis)
+    log_axis(errors.xaxis, labelled=(1,))
     errors.axvline(paper.TOLERANCE_M, **BOUND)
     errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=SMALL_PT)
     errors.set(ylim=(len(cases) - 0.4, -0.6))

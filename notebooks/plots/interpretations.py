@@ -171,7 +171,12 @@ def forest(table, baseline):
                 side = np.sign(row.change)
                 axes.plot(side * most, place, ">" if side > 0 else "<", color=colour, markersize=4)
                 at = dict(xy=(side * most, place), offset=(-5 * side, 0))
-                note(axes, f"{row.change:+.2g}", **at, ha="right" if side > 0 else "left")
+                note(
+                    axes,
+                    f"{row.change:+.2g}".replace("-", "−"),
+                    **at,
+                    ha="right" if side > 0 else "left",
+                )
         axes.axvline(0, color=BLACK, linewidth=0.6)
         ticks_at_the_ends(axes, [-most, 0, most])
         axes.set_xlim(-1.08 * most, 1.08 * most)

@@ -146,9 +146,9 @@ def ticks_at_the_ends(axes, ticks):
         label.set_horizontalalignment(side)
 
 
-def log_axis(axis):
-    """Make an axis logarithmic, with labels at 1, 2 and 5."""
+def log_axis(axis, labelled=(1, 2, 5)):
+    """Make an axis logarithmic, with labels at these multiples of the powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_locator(LogLocator(subs=labelled))
     axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()

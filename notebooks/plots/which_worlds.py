@@ -47,7 +47,7 @@ _LABELS = {
     "sigma_ekf_m": r"EKF: $\sigma_{xy}$ of $W$ [m]",
     "sigma_ekf_ratio_radpm": r"EKF: $\sigma_\theta / \sigma_{xy}$ [rad/m]",
 }
-_COLUMNS = 5
+_COLUMNS = 4
 _BINS = 12
 _MOST_RATIO = 4.0  # upper end of the axis of the EKF's error over the RHE's
 _LEARNED = 0.15  # an unknown whose interval is narrowed by this much is drawn in colour
@@ -172,7 +172,7 @@ def order(table):
     """
     rules = [*table["rule for W"].unique()]
     looks = dict(zip(table["turns"].unique(), (BLACK, BLUE, ORANGE, VERMILLION, GREEN)))
-    figure, (shares, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.8), sharey=True)
+    figure, (shares, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 3.0), sharey=True)
     for k, (turns, colour) in enumerate(looks.items()):
         rows = table[table["turns"] == turns]
         places = np.arange(len(rules)) + 0.15 * (k - 2)
@@ -198,7 +198,7 @@ def order(table):
     ratios.set_xticks([0.7, 1, 1.5, 2, 3, 4], ["0.7", "1", "1.5", "2", "3", "4"])
     ratios.axvline(1, color=BLACK, linewidth=0.6, linestyle=":")
     shares.axvline(0.5, color=BLACK, linewidth=0.6, linestyle=":")
-    figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
@@ -250,7 +250,8 @@ def calibration(checks, draws):
         n, unknowns = ranks.shape
         half = band(n, unknowns)
         levels = (np.arange(draws + 1) + 1) / (draws + 1)
-        axes.axhspan(-half, half, color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        look = dict(color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        band_drawn = axes.axhspan(-half, half, **look)
         off = np.array([np.mean(ranks <= rank, axis=0) for rank in range(draws + 1)])
         off -= levels[:, None]
         outside = np.abs(off).max(axis=0) > half
@@ -261,6 +262,8 @@ def calibration(checks, draws):
             axes.legend(fontsize=SMALL_PT)
         axes.set(title=f"{name} (n = {n})", xlabel="rank of the truth / draws", xlim=(0, 1))
     panels[0, 0].set_ylabel("share of truths − uniform")
+    words = "where 95 % of all ranks stay, those of every unknown together"
+    figure.legend([band_drawn], [words], loc="outside lower center")
     return figure
 
 
