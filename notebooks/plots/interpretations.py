@@ -183,7 +183,7 @@ def forest(table, baseline):
         words, _, unit = quantity.removesuffix("]").partition(" [")
         unit = "" if unit in ("", "-") else f" {unit}"
         title = f"{words}\n{rows.loc['baseline', 'value']:.3g}{unit}"
-        axes.set_title(title, fontsize=SMALL_PT, loc="center")
+        axes.set_title(title.replace("-", "−"), fontsize=SMALL_PT, loc="center")
         axes.tick_params(axis="x", labelsize=SMALL_PT)
         axes.grid(axis="y", visible=False)
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]

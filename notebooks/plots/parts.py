@@ -141,7 +141,8 @@ def legend_outside(figure, axes, place, ncols):
 def ticks_at_the_ends(axes, ticks):
     """Limit the x axis to three ticks: both ends, with their labels inside, and the middle."""
     axes.set_xlim(ticks[0], ticks[-1])
-    axes.set_xticks(ticks, [f"{tick:.2g}".replace("-", "−") for tick in ticks])
+    texts = [f"{tick:.2g}" if abs(tick) < 100 else f"{tick:.0f}" for tick in ticks]
+    axes.set_xticks(ticks, [text.replace("-", "−") for text in texts])
     for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
         label.set_horizontalalignment(side)
 

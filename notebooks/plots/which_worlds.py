@@ -262,7 +262,7 @@ def calibration(checks, draws):
             axes.legend(fontsize=SMALL_PT)
         axes.set(title=f"{name} (n = {n})", xlabel="rank of the truth / draws", xlim=(0, 1))
     panels[0, 0].set_ylabel("share of truths − uniform")
-    words = "where 95 % of all ranks stay, those of every unknown together"
+    words = "95 % band, for all unknowns together"
     figure.legend([band_drawn], [words], loc="outside lower center")
     return figure
 
