@@ -10,19 +10,6 @@ from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
-_UNITS = {
-    "C": "°C",
-    "MJ_h": "MJ/h",
-    "N": "N",
-    "Nm": "N m",
-    "m": "m",
-    "mol_l": "mol/l",
-    "mps": "m/s",
-    "per_min": "1/min",
-    "rad": "rad",
-    "radps": "rad/s",
-}
-_GREEK = {"theta": "θ", "phi": "φ", "w": "ω"}
 _OF_WORLDS = {field for fields in rhec.WORLDS.values() for field in fields}  # what they differ in
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
@@ -34,12 +21,6 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
     return figure, panels[0]
 
 
-def panels_apart(n, height_in):
-    """A figure with n panels side by side, each with a y axis of its own."""
-    figure, panels = plt.subplots(1, n, figsize=(DOUBLE_IN, height_in), squeeze=False)
-    return figure, panels[0]
-
-
 def world_text(scenario):
     """The world of a Scenario by its name, for a title."""
     for name, fields in rhec.WORLDS.items():
@@ -47,20 +28,6 @@ def world_text(scenario):
         if all(getattr(scenario, field) == getattr(usual, field) for field in _OF_WORLDS):
             return f"{name} world"
     return "a world of its own"
-
-
-def in_words(name):
-    """The name of a signal as people write it: "theta_rad" is "θ [rad]"."""
-    words = name.split("_")
-    for length in (2, 1):  # as in "mol_l", then as in "rad"
-        unit = _UNITS.get("_".join(words[-length:]))
-        if unit and words[:-length]:
-            return f"{_spoken(words[:-length])} [{unit}]"
-    return _spoken(words)
-
-
-def _spoken(words):
-    return " ".join(_GREEK.get(word, word) for word in words)
 
 
 def seed_range(sweep):
