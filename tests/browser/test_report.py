@@ -150,6 +150,9 @@ def test_a_page_shows_all_it_has(offline, name):
             f"wider than {width} pixels"
         )
     assert page.locator("h1").first.bounding_box()["y"] < 200  # on a phone, too
+    # There, text beside a picture would have room for a few letters alone.
+    floats = "images => images.map(image => getComputedStyle(image).float)"
+    assert {*page.eval_on_selector_all("article img", floats)} <= {"none"}
 
 
 def test_all_pages_are_reached_from_the_first_by_links(offline):
