@@ -86,7 +86,7 @@ def test_no_page_shows_a_path_a_warning_or_a_formula_as_text(soups):
         alternatives = [picture.get("alt") for picture in soup.select("article img")]
         assert all(alternatives), name
         # A formula is read aloud by its letters, not as "backslash hat".
-        assert not any(re.search(r"[\\$]|hat|mathrm", text) for text in alternatives), name
+        assert not any(re.search(r"[\\$]|mathrm|\bhat\w", text) for text in alternatives), name
         tables_as_text = [each for each in soup.select("p") if each.get_text().startswith("| ")]
         assert not tables_as_text, name
 
