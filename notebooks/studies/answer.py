@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from notebooks.claims.summary import by_condition, verdict_counts
+from notebooks.studies.names import RULES, TURNS, noise_text
 from notebooks.studies.statistics import (
     CONDITIONS,
     FAILS,
@@ -31,21 +32,11 @@ from notebooks.studies.statistics import (
 )
 from notebooks.studies.tables import interval_text, three_digits
 from rhec import paper
+from rhec.tracked_robot import tuning
 
 RESULTS = Path(__file__).resolve().parents[2] / "data/results"
 LEDGER = "data/results/claims.csv"
-_RULES = {  # {process_noise: the rule that picks W}
-    "printed": "as printed",
-    "consistent": "consistent",
-    "prediction": "by prediction",
-    "tracking": "by least tracking error",
-}
-_TURNS = {
-    "alternate": "to alternate sides",
-    "left": "to the left alone",
-    "right": "to the right alone",
-    "figure_of_eight": "in a figure of eight",
-}
+_RULES = {rule: RULES[rule] for rule in tuning.RULES_IN_DEFAULT_WORLD}
 _ERROR = "mean error, raw GNSS [m]"
 _VIOLATIONS = "violations on straights, raw GNSS"
 _CLEAN = "share of drives without a violation"
@@ -157,18 +148,13 @@ def paper_beside_ours(folder=RESULTS):
         "The RHE benefits from its traction estimates": ("yes", _conditions(folder, "B6").get),
         "Possible worlds where the RHE's error is less": (_NONE, _worlds(folder).get),
     }
-    head = f"mean of {n} drives, turns {_TURNS[numbers.turns]}"
+    head = f"mean of {n} drives, turns {TURNS[numbers.turns]}"
     return pd.DataFrame(
         [
-            {head: label, "the paper": of_paper} | {_head(rule): cell(rule) for rule in _RULES}
+            {head: label, "the paper": of_paper} | {noise_text(rule): cell(rule) for rule in _RULES}
             for label, (of_paper, cell) in rows.items()
         ]
     ).fillna(_NONE)
-
-
-def _head(rule):
-    """The head of a rule's column."""
-    return f"W {_RULES[rule]}"
 
 
 def _with_minus(text):
@@ -267,7 +253,7 @@ def scenario_b_numbers(folder=RESULTS):
         row["the paper"] = _NONE if pd.isna(first["paper"]) else f"{float(first['paper']):g}"
         # Errors and counts are not negative, only their differences are.
         least = -float("inf") if whose == _GAIN else 0.0
-        row |= {_head(rule): _with_interval(ours, least) for rule, ours in found.items()}
+        row |= {noise_text(rule): _with_interval(ours, least) for rule, ours in found.items()}
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -292,7 +278,7 @@ def by_turns(folder=RESULTS):
             gain = numbers.row(_GAIN, _ERROR, rule)
             rows.append(
                 {
-                    "turns": f"{_TURNS[turns]} (n = {gain['n']})",
+                    "turns": f"{TURNS[turns]} (n = {gain['n']})",
                     "W": _RULES[rule],
                     "RHE [m]": _with_interval(numbers.row("RHE", _ERROR, rule)),
                     "EKF [m]": _with_interval(numbers.row("EKF", _ERROR, rule)),
@@ -376,7 +362,7 @@ def _says_order(patterns):
         if word != HOLDS:
             others.setdefault(turns, []).append(_RULES[rule])
     where = [
-        f"where the path turns {_TURNS[turns]} with W {' or '.join(rules)}"
+        f"where the path turns {TURNS[turns]} with W {' or '.join(rules)}"
         for turns, rules in others.items()
     ]
     cases = f"{len(orders)} cases of rule and turns (those in which the EKF is not lost)"
@@ -510,7 +496,7 @@ def _says_pairs(numbers):
     ]
     gap_m = paper.MEAN_ERROR_EKF_M - paper.MEAN_ERROR_RHE_M
     return (
-        f"Turns {_TURNS[numbers.turns]}, RHE against EKF: {', '.join(pairs)}; in the paper it is "
+        f"Turns {TURNS[numbers.turns]}, RHE against EKF: {', '.join(pairs)}; in the paper it is "
         f"better by {gap_m:.4f} m."
     )
 

@@ -80,6 +80,7 @@ PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
+_NOT_OR_ESTIMATED = ("not estimated", "estimated")
 _SPEEDS = ("constant in a window", "measured", "slipping tracks")
 _TURNS = ("to alternate sides", "left", "right", "figure of eight")
 _SOIL_UNDER = ("the middle", "each track")
@@ -106,6 +107,7 @@ _SENSORS = (
 _CONTROLS = (
     _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
     _selection("speed_model", "speed ν", _SPEEDS),
+    _selection("yaw_drift", "yaw drift", _NOT_OR_ESTIMATED),
     _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
     *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
     *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),

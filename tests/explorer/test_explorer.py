@@ -149,6 +149,19 @@ def test_widgets_begin_at_the_start_scenario(start):
     assert rhec.Explorer(start, None).scenarios == [start]
 
 
+def test_a_slider_shows_all_digits_of_its_value():
+    start = rhec.Scenario()
+    shown = rhec.Explorer(replace(start, duration_s=20.0), against=None).inputs
+    for key in ("mu_mean", "mu_deviation", "kappa_mean", "kappa_deviation", "slip_difference"):
+        text = format(getattr(start, key), shown[key].readout_format)
+        assert float(text) == getattr(start, key), key
+
+
+def test_the_yaw_drift_is_estimated_where_it_can_be(made):
+    made.inputs["yaw_drift"].value = True
+    assert [run.scenario.yaw_drift for run in made.runs] == [True, False]
+
+
 def test_slider_steps_include_the_start_value():
     for start in STARTS:
         for key, value in controls.values_of(start).items():
@@ -237,7 +250,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     made.inputs["r"].value = 20.0
     (_, *series), panels = field_run._SERIES, drawn(made)
     for run in (*made.runs, *made.pinned):
-        for panel, x, y, look in series:
+        for panel, x, y, look, _ in series:
             if run in made.runs or look == "bold":
                 values = running_median(run.columns[y]) if panel == "kkt" else run.columns[y]
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
