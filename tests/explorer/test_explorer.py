@@ -118,14 +118,15 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
     assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
 
 
-def test_sensors_and_their_faults_apply_to_the_rhe():
+def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it():
+    """The oracle does not need them, but drives the same robot."""
     values = controls.values_of(SHORT)
     dead = (rhec.Fault(kind="dead", channel="gyro"),)
     values |= dict(sensors=("gyro",), faults=dead)
     for key in controls.ESTIMATORS:
         scenario = controls.scenario_of(values, key, SHORT)
         assert (scenario.sensors, scenario.faults) == (
-            (("gyro",), dead) if key == "rhe" else ((), ())
+            (("gyro",), dead) if key in ("rhe", "oracle") else ((), ())
         )
     assert controls.scenario_of(values | dict(sensors=()), "rhe", SHORT).faults == ()
 
