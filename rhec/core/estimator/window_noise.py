@@ -29,12 +29,12 @@ class NoisyInterval(base.Interval):
         mean, variance = of_inputs.input_noise(z, v, V, c)
         motion_noise = self.motion_noise
         added = motion_noise.process(mean, Q, None, c) if motion_noise else Q
-        none = ca.SX.zeros(self.n_s)
+        none = ca.DM.zeros(self.n_s)
         return ca.vertcat(mean, none), ca.vertcat(variance, ca.fmax(added, _NO_NOISE))
 
     def process_noise(self, v, W, dt_s, c=None):
         """Variances (n_s,) of noise besides w: none."""
-        return ca.SX.zeros(self.n_s)
+        return ca.DM.zeros(self.n_s)
 
 
 @functools.cache

@@ -434,7 +434,7 @@ class Interval(NamedTuple):
                 sigma = sigma or SIGMA_HELD
                 others = self.mixing_outputs[place]
                 valid = [is_valid_measurement(z[row], limit) for row, limit in others]
-                n_valid = sum(valid, ca.SX(0))
+                n_valid = sum(valid, ca.DM(0))
                 missing = sigma**2 if held is None else held
                 mean.append(v[place])
                 variance.append(ca.if_else(n_valid, (SIGMA_UNMEASURED * sigma) ** 2, missing))
