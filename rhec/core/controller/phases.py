@@ -16,7 +16,7 @@ from rhec.core.controller.stages import (
 from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
 from rhec.core.solver.line_search import line_search
-from rhec.core.solver.relaxation import relaxation
+from rhec.core.solver.relaxation import RELIEF, relaxation
 from rhec.core.solver.rti import IMPROVE, iterate, run_phases
 
 
@@ -29,11 +29,13 @@ def build_phases(stages):
     qp = solver_of(stages)
     roll_out = _build_roll_out(stages)
     linearise = _build_linearise(stages, qp)
-    feedback = _build_feedback(stages, qp, roll_out, linearise)
+    condition = _build_condition(stages, roll_out)
+    feedback = _build_feedback(stages, qp, condition, linearise)
     expand = _build_expand(stages, roll_out, feedback)
     phases = dict(shift=_build_shift(stages), linearise=linearise, feedback=feedback, expand=expand)
     if stages.damped:
-        phases[IMPROVE] = _build_improve(stages, phases)
+        of_iteration = _build_feedback(stages, qp, condition, linearise, qp.chosen)
+        phases[IMPROVE] = _build_improve(stages, phases | dict(feedback=of_iteration))
     return phases | dict(step=_build_step(stages, qp, phases))
 
 
@@ -84,11 +86,13 @@ def _build_linearise(stages, qp):
     return linearise
 
 
-def _build_feedback(stages, qp, roll_out, linearise):
-    """The estimate and the references complete the QP, which gives the new plan."""
-    condition = _build_condition(stages, roll_out)
+def _build_feedback(stages, qp, condition, linearise, chosen=None):
+    """The estimate and the references complete the QP, which gives the new plan.
+
+    `chosen` has the shapes of what an iteration chooses of the QP besides.
+    """
     shapes = {name: linearise.sparsity_out(name) for name in linearise.name_out()}
-    shapes |= stages.memory | stages.weights | stages.data
+    shapes |= stages.memory | stages.weights | stages.data | (chosen or {})
 
     @casadi_function("rhc_feedback", ca.MX, **shapes)
     def feedback(**inputs):
@@ -222,8 +226,9 @@ def _build_step(stages, qp, phases):
 def _build_improve(stages, phases):
     """One iteration without shift: linearise, feedback, expand, and a share of their step.
 
-    Where the QP was not solved, what expand leaves stays; the iteration after one that moved
-    nothing, either, would be the same.
+    Where the QP was not solved, what expand leaves stays, or the plan before, if the search wants
+    it to be tried `again` with other prices. Else the iteration after one that moved nothing,
+    either, would be the same.
     """
     search = _build_search(stages)
     unknowns = stages.unknowns
@@ -231,19 +236,27 @@ def _build_improve(stages, phases):
 
     @casadi_function("rhc_improve", ca.MX, **shapes, penalty=search.sparsity_in("penalty"))
     def improve(penalty, **inputs):
-        values, full = iterate(phases, inputs)
+        chosen = dict(relief=penalty[RELIEF]) if stages.is_general else {}
+        values, full = iterate(phases, inputs | chosen)
         steps = {f"{name}_full": full[name] for name in unknowns}
         known = values | dict(kkt=full["kkt"], penalty=penalty) | steps
-        chosen = search(**select_inputs(search, known))
+        found = search(**select_inputs(search, known))
         solved = values["solved"]
         moved = ca.norm_inf(ca.veccat(*(full[name] - inputs[name] for name in unknowns)))
         outputs = {name: values[name] for name in phases["feedback"].name_out()}
         outputs |= {name: full[name] for name in (*stages.memory, "kkt")}
-        outputs |= {name: ca.if_else(solved, chosen[name], full[name]) for name in unknowns}
+        unsolved = {name: full[name] for name in unknowns}
+        is_over = moved == 0
+        if stages.is_general:
+            again = found["again"]
+            unsolved = {name: ca.if_else(again, inputs[name], full[name]) for name in unknowns}
+            is_over *= ca.logic_not(again)
+            outputs["excess"] = found["excess_shown"]
+        outputs |= {name: ca.if_else(solved, found[name], unsolved[name]) for name in unknowns}
         outputs["u_plan"] = outputs["u"]
-        flags = dict(converged=chosen["converged"] * solved, ok=values["ok"] * chosen["near"])
-        flags["done"] = ca.if_else(solved, chosen["done"], moved == 0)
-        return outputs | flags | dict(penalty_after=chosen["penalty_after"])
+        flags = dict(converged=found["converged"] * solved, ok=values["ok"] * found["near"])
+        flags["done"] = ca.if_else(solved, found["done"], is_over)
+        return outputs | flags | dict(penalty_after=found["penalty_after"])
 
     return improve
 

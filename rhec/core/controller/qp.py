@@ -36,6 +36,8 @@ class ActiveSet:
     """
 
     reported = ()  # results of `solve` that a step of the RHC returns besides
+    # Shapes of inputs of `solve` that iterations alone choose, and that are 0 else.
+    chosen = {}
 
     def __init__(self, stages):
         self._stages = stages
@@ -107,6 +109,7 @@ class InteriorPoint:
     """
 
     reported = ("iterations", "excess")
+    chosen = dict(relief=(1, 1))
 
     def __init__(self, stages):
         self._stages = stages
@@ -143,6 +146,7 @@ class InteriorPoint:
         lower, upper = bounds_of_nodes(stages, inputs)
         rows = at_plan["rows"]
         qp = {name: inputs[name] for name in ("H", "G", "linear", "quadratic")}
+        qp |= {name: inputs[name] for name in self.chosen if name in inputs}
         qp |= dict(D=inputs["qp_D"], B=inputs["qp_B"], g=at_plan["g"])
         solution = self._solve(**qp, lower=lower - rows, upper=upper - rows)
         z = solution.pop("z")

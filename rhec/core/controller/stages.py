@@ -338,16 +338,20 @@ def build_cost(stages):
         dt_s = ca.repmat(ca.DM(stages.dt_s), 1, N)
         ends = stages.interval.step.map(N)(s[:, :N], u, dt_s)
         gaps = ca.sum1(ca.fabs(ca.veccat(s[:, 0] - s_0, ends - s[:, 1:])))
-        price = _price(stages, w, given) if stages.is_general else 0
-        return dict(cost=total + price, gaps=gaps)
+        if not stages.is_general:
+            return dict(cost=total, gaps=gaps)
+        t = _beyond_bounds(stages, w, given)
+        is_soft = given["linear"] < NO_PRICE
+        linear = ca.if_else(is_soft, given["linear"], 0)
+        price = ca.dot(linear, ca.sum2(t)) + ca.dot(given["quadratic"], ca.sum2(t**2)) / 2
+        beyond = ca.if_else(is_soft, 0, ca.sum2(t))
+        return dict(cost=total + price, gaps=gaps, beyond=beyond)
 
     return cost
 
 
-def _price(stages, w, bounds):
-    """The price of what the soft rows of all nodes exceed."""
+def _beyond_bounds(stages, w, bounds):
+    """How far the rows besides the commands are beyond their bounds, at all nodes."""
     lower, upper = bounds_of_nodes(stages, bounds)
     rows = w[stages.rows, :]
-    t = ca.fmax(ca.fmax(rows - upper, lower - rows), 0)[stages.n_c :, :]
-    linear = ca.if_else(bounds["linear"] < NO_PRICE, bounds["linear"], 0)
-    return ca.dot(linear, ca.sum2(t)) + ca.dot(bounds["quadratic"], ca.sum2(t**2)) / 2
+    return ca.fmax(ca.fmax(rows - upper, lower - rows), 0)[stages.n_c :, :]

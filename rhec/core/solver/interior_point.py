@@ -141,19 +141,21 @@ class Shape(NamedTuple):
 
 
 def interior_point(shape):
-    """Build the Function (D, B, H, g, G, lower, upper, linear, quadratic) -> (z, solved, …).
+    """Build the Function (D, B, H, …, upper, linear, quadratic, relief) -> (z, solved, …).
 
     It takes D, B, H, g, G, lower and upper of the nodes 0 … N side by side, and the prices
-    (n_soft,) of the soft rows; a bound of ±1e20 is none, and so is a linear price of 1e20. Where
-    no solution is found, `solved` and z are 0.
+    (n_soft,) of the soft rows; a bound of ±1e20 is none, and so is a linear price of 1e20. The
+    price of rows without one is lower by `relief` decades. Where no solution is found, `solved` and
+    z are 0.
 
     Args:
         shape: The Shape of the QP.
 
     Returns:
         The Function. Its results are z (n + m, N+1), solved, the number of iterations,
-        complementarity = Σ λ |b + t|, which is 0 at a solution z = 0, and excess (n_soft,): how far
-        rows without a price, which has to be kept, are exceeded; 0 for the others.
+        complementarity = Σ λ |b + t|, which is 0 at a solution z = 0, excess (n_soft,): how far
+        rows without a price, which has to be kept, are exceeded, 0 for the others; and price
+        (n_soft,), the linear ones, with that of rows without one.
     """
     problem = shape.of_all_nodes(shape.stage) | shape.price
     one = (1, 1)
@@ -164,10 +166,10 @@ def interior_point(shape):
     rows = (shape.n_rows, shape.N + 1)
     given = {name: problem[name] for name in "DBHg"}
     given |= dict(G=ca.repmat(shape.G, 1, shape.N + 1), lower=rows, upper=rows)
-    given |= dict(linear=(shape.n_soft, 1), quadratic=(shape.n_soft, 1))
+    given |= dict(linear=(shape.n_soft, 1), quadratic=(shape.n_soft, 1), relief=(1, 1))
 
     @casadi_function("interior_point", ca.MX, **given)
-    def solve(G, lower, upper, linear, quadratic, **stages):
+    def solve(G, lower, upper, linear, quadratic, relief, **stages):
         places = [0, shape.n_hard // 2, shape.n_rows]
         G, lower, upper = (ca.vertsplit(each, places) for each in (G, lower, upper))
         stages |= dict(
@@ -176,7 +178,7 @@ def interior_point(shape):
             linear=ca.repmat(linear, 2, 1),
             quadratic=ca.repmat(quadratic, 2, 1),
         )
-        begin = start(**stages)
+        begin = start(**stages, relief=relief)
         end = search(**stages | begin)
         errors = ca.vertcat(end["gap"], end["error"], end["gain"] * _TOLERANCE / _TOLERANCE_GAIN)
         # The comparisons are also 0 where a number is none.
@@ -187,7 +189,10 @@ def interior_point(shape):
             z=ca.if_else(solved, end["z"], 0), solved=solved, iterations=end["iterations"]
         )
         excess = _excess(shape, stages, begin["widest"], end["t"])
-        return results | dict(complementarity=complementarity, excess=excess)
+        price = ca.DM(0, 1)
+        if shape.n_soft:
+            price = ca.fmax(*ca.vertsplit(begin["linear"], shape.n_soft))
+        return results | dict(complementarity=complementarity, excess=excess, price=price)
 
     return solve
 
@@ -238,7 +243,7 @@ def _build_start(shape):
     the price of the excess at z = 0.
     """
     shapes = shape.of_all_nodes(shape.stage)
-    shapes |= dict(linear=shape.soft, quadratic=shape.soft)
+    shapes |= dict(linear=shape.soft, quadratic=shape.soft, relief=(1, 1))
     without_bounds = _build_without_bounds(shape)
 
     @casadi_function("qp_start", loop_symbols(), **shapes)
@@ -252,6 +257,7 @@ def _build_start(shape):
         free_way = ca.sqrt(scale * compliance)
         widest = ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way)
         own = _OWN_PRICE * ca.sqrt(scale * stiffness[shape.n_hard :])
+        own *= 10 ** -given["relief"]
         own += _pushed(shape, given, b, compliance, stiffness)
         price = dict(linear=ca.if_else(given["linear"] < _NO_BOUND, given["linear"], own))
         price |= dict(quadratic=given["quadratic"])

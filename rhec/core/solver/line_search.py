@@ -47,8 +47,8 @@ def line_search(name, unknowns, data, cost_and_gaps):
         given = {key: values[key] for key in data}
         old = {key: values[key] for key in unknowns}
         step = {key: values[f"{key}_full"] - values[key] for key in unknowns}
-        cost, gaps = _called(cost_and_gaps, old, given)
-        slope = _slope(cost_and_gaps, old, step, given)
+        cost, gaps = called(cost_and_gaps, old, given)
+        slope = slope_of(cost_and_gaps, old, step, given)
         needed = slope / ((1 - _SHARE) * ca.fmax(gaps, 1e-300))
         penalty = ca.fmax(penalty, ca.if_else(gaps > 0, needed, 0))
         merit = cost + penalty * gaps
@@ -57,7 +57,7 @@ def line_search(name, unknowns, data, cost_and_gaps):
         for halvings in reversed(range(HALVINGS)):
             alpha = 0.5**halvings
             moved = {key: old[key] + alpha * step[key] for key in unknowns}
-            cost, gaps = _called(cost_and_gaps, moved, given)
+            cost, gaps = called(cost_and_gaps, moved, given)
             enough = merit + _SUFFICIENT * alpha * descent + 1e-12 * ca.fabs(merit)
             length = ca.if_else(cost + penalty * gaps <= enough, alpha, length)
         change = ca.fabs(descent) / ca.fmax(ca.fabs(merit), 1e-12)
@@ -77,16 +77,17 @@ def line_search(name, unknowns, data, cost_and_gaps):
     return search
 
 
-def _called(cost_and_gaps, unknowns, data):
+def called(cost_and_gaps, unknowns, data):
+    """(J, ‖c‖₁) of unknowns and data, both by name."""
     result = cost_and_gaps(**unknowns, **data)
     return result["cost"], result["gaps"]
 
 
-def _slope(cost_and_gaps, unknowns, step, data):
-    """∇J·Δw by forward differentiation."""
+def slope_of(cost_and_gaps, unknowns, step, data):
+    """∇J·Δw by forward differentiation; `step` has the shapes of the unknowns."""
     symbols = {key: ca.MX.sym(key, value.shape) for key, value in unknowns.items()}
     inner = {key: ca.MX.sym(key, value.shape) for key, value in data.items()}
-    cost, _ = _called(cost_and_gaps, symbols, inner)
+    cost, _ = called(cost_and_gaps, symbols, inner)
     w = ca.veccat(*symbols.values())
     direction = ca.MX.sym("direction", w.numel())
     along = ca.jtimes(cost, w, direction)

@@ -4,13 +4,29 @@ Where a step goes too far, as it does along a curved bound, full steps may jump 
 and a line search shortens them only once their merit is worse. With the steps d, now, and d'
 before, the share becomes -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxation; Irons and Tuck,
 1969), which converges in fewer steps there.
+
+Behind it stands the merit of a line search, with the price of what hard rows exceed,
+
+    φ(w) = J(w) + price · t(w) + μ ‖c(w)‖₁.
+
+A share that would raise it is halved until it does not. The QP's own price of hard rows is far
+above their multipliers. On an unstable plant it buys a plan that keeps the bounds of the linearised
+dynamics by going where these hold no longer. Where no share is good enough the plan stays, and the
+next QP has a tenth of that price; it rises again, step by step, once the iterations are near a
+solution that still exceeds a hard row. Without an excess the lower price is above the multipliers,
+too, and the solution is that of hard rows.
 """
 
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
-from rhec.core.solver.line_search import CONVERGED, DONE, NEAR
+from rhec.core.solver.interior_point import NO_PRICE
+from rhec.core.solver.line_search import CONVERGED, DONE, NEAR, called, slope_of
 
+RELIEF = 1  # place in `penalty` of the decades by which the QP's own price is lower
+_MOST_RELIEF = 4
+_HALVINGS = 6  # of the share, at most
+_ROUNDING = 1e-9  # of the merit
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
 _NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration ends
@@ -23,35 +39,99 @@ def relaxation(unknowns, data, cost):
     Args:
         unknowns: {name: shape} of the unknowns.
         data: {name: shape} of what the cost depends on besides.
-        cost: Function (unknowns, data) -> cost.
+        cost: Function (unknowns, data) -> cost, gaps, and beyond: Σ t of each row without a price.
 
     Returns:
-        The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt, data)
-        -> (unknowns, penalty_after, near, converged, done). `penalty` carries the last share and
-        step on; at first, and after a QP that was not solved, it is 0.
+        The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt,
+        price, excess, data) -> (unknowns, penalty_after, near, converged, done, again,
+        excess_shown). `penalty` carries the last share, `relief`, μ and the last step on; at first
+        it is 0, and after a QP that was not solved the share is. `again` says that a QP that was
+        not solved is to be tried with a lower price. `excess_shown` is the excess at the full
+        price, 0 at a lower one, which does not tell whether the bounds can be kept.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
-    carried = 1 + sum(rows * columns for rows, columns in unknowns.values())
-    known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1))
+    rows = cost.sparsity_out("beyond")
+    carried = 3 + sum(rows * columns for rows, columns in unknowns.values())
+    known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1), price=rows, excess=rows)
+    merit = _build_merit(unknowns, data, cost)
 
     @casadi_function("rhc_search", ca.MX, **unknowns, **full, **known, **data)
-    def search(penalty, solved, kkt, **values):
+    def search(penalty, solved, kkt, price, excess, **values):
+        share, relief, mu, last = ca.vertsplit(penalty, [0, 1, 2, 3, carried])
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
         step = ca.veccat(*(values[f"{key}_full"] - values[key] for key in unknowns))
         stays = ca.norm_inf(step) <= _NO_STEP * ca.norm_inf(_extent(values, unknowns))
-        share = _next_share(penalty[0], penalty[1:], step)
-        done = ca.logic_or(change <= DONE, stays)
-        is_full = ca.logic_or(done, share == 1)
+        share = _next_share(share, last, step)
+        near, converged, ended = (
+            ca.logic_or(change <= most, stays) for most in (NEAR, CONVERGED, DONE)
+        )
+        has_hard = ca.sum1(values["linear"] >= NO_PRICE) > 0
+        # A step that ends the iterations is too small for a merit.
+        is_free = ca.logic_or(ca.logic_not(has_hard), ended)
+        given = {key: values[key] for key in data} | dict(price=price)
+        good, mu_new = _good_share(merit, unknowns, values, given, share, mu)
+        share = ca.if_else(is_free, share, good)
+        taken = share > 0
+        # A comparison with a number that is none is false; then the QP was not solved, either.
+        better = solved * taken
+        is_higher = better * near * (relief > 0) * (ca.norm_1(excess) > 0)
+        is_lower = has_hard * ca.logic_not(better) * (relief < _MOST_RELIEF)
+        relief_after = relief - is_higher + is_lower
+        is_full = ca.logic_or(ended, share == 1)
         result = {}
         for key in unknowns:
             part = values[key] + share * (values[f"{key}_full"] - values[key])
             result[key] = ca.if_else(is_full, values[f"{key}_full"], part)
-        near, converged = (ca.logic_or(change <= most, stays) for most in (NEAR, CONVERGED))
-        flags = dict(near=near, converged=converged, done=done)
-        carry = ca.if_else(solved, ca.vertcat(share, step), ca.DM.zeros(carried))
-        return result | flags | dict(penalty_after=carry)
+        # Where no share is good with the lowest price, the next iteration would be the same.
+        is_stuck = ca.logic_not(taken) * ca.logic_not(is_lower)
+        done = ca.logic_or(ended * ca.logic_not(is_higher), is_stuck)
+        flags = dict(near=near, converged=converged * ca.logic_not(is_higher), done=done)
+        flags |= dict(again=is_lower * ca.logic_not(solved))
+        flags |= dict(excess_shown=ca.if_else(relief > 0, 0, excess))
+        # Steps with different prices do not tell how far to go.
+        is_comparable = solved * (relief_after == relief)
+        carry = (ca.if_else(is_comparable, share, 0), relief_after, ca.if_else(better, mu_new, mu))
+        last = ca.if_else(solved, step, 0)
+        return result | flags | dict(penalty_after=ca.vertcat(*carry, last))
 
     return search
+
+
+def _build_merit(unknowns, data, cost):
+    """The Function of J + price · t and of the gaps ‖c‖₁."""
+    rows = cost.sparsity_out("beyond")
+
+    @casadi_function("rhc_merit", ca.MX, **unknowns, **data, price=rows)
+    def merit(price, **values):
+        found = cost(**values)
+        return dict(cost=found["cost"] + ca.dot(price, found["beyond"]), gaps=found["gaps"])
+
+    return merit
+
+
+def _good_share(merit, unknowns, values, given, share, mu):
+    """The first of share, share / 2, … that does not raise φ, or 0; and μ.
+
+    μ makes what is missing at the ends of the intervals twice as dear as what closing it costs, by
+    the cost's slope, and by its rise along the share.
+    """
+    old = {key: values[key] for key in unknowns}
+    steps = {key: values[f"{key}_full"] - values[key] for key in unknowns}
+
+    def at(length):
+        found = called(merit, {key: old[key] + length * steps[key] for key in unknowns}, given)
+        return ca.vertcat(found[0], found[1])
+
+    cost, gaps = ca.vertsplit(at(0))
+    tried = [at(0.5**halvings * share) for halvings in range(_HALVINGS)]
+    rise = ca.fmax((tried[0][0] - cost) / share, slope_of(merit, old, steps, given))
+    mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
+    before = cost + mu * gaps
+    most = before + _ROUNDING * ca.fabs(before)
+    good = ca.MX(0)
+    for halvings, found in reversed(list(enumerate(tried))):
+        good = ca.if_else(found[0] + mu * found[1] <= most, 0.5**halvings * share, good)
+    return good, mu
 
 
 def _extent(values, unknowns):
