@@ -260,7 +260,7 @@ class RHC(RealTimeLoop):
         """Iterate to convergence on the nonlinear problem.
 
         Steps are shortened, by a line search or, with constraints, by what the last two steps have
-        shown, and end once `converged`.
+        shown and by a merit of cost, hard bounds and dynamics. They end once `converged`.
 
         Args:
             x: (n_x,) estimated state.
