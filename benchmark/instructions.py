@@ -48,10 +48,11 @@ def count(library):
     counting.begin()
     drive()
     counting.end(b"rhec")
-    recorded = problems.record(problems.drive(BEFORE + COUNTED))
+    loop = problems.robot(problems.PAPERS_SIZE[0], BEFORE + COUNTED)
+    recorded = problems.record(loop)
     for name, makers in peers.PEERS.items():
         for problem, make in zip(("RHE", "RHC"), makers):
-            solve = make(recorded[0])
+            solve = make(loop.case, recorded[0])
             for each in recorded[:BEFORE]:
                 solve(each)
             counting.begin()
