@@ -51,9 +51,18 @@ def say_what_is_missing():
 def step():
     """One step at the paper's size."""
     loop = problems.robot(problems.PAPERS_SIZE[0], steps.SAMPLES)
-    agreeing, times = steps.measure(loop, counted=True)
+    agreeing, times = steps.measure(loop)
     save(agreeing, "agreement")
     save(times, "step")
+
+
+@part
+def counts():
+    """Instructions of a step at the paper's size, where valgrind is installed."""
+    if instructions.available():
+        loop = problems.robot(problems.PAPERS_SIZE[0], instructions.BEFORE + instructions.COUNTED)
+        acados = steps.acados_of(loop.case, problems.record(loop))
+        save(instructions.measure(acados), "instructions")
 
 
 @part

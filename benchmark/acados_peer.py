@@ -13,7 +13,7 @@ from notebooks.studies.timing import PHASES
 from rhec import paper
 
 ITERATIONS = 30
-SHARE = 30  # problems in a block, which takes less time than a process gets at once
+SHARE = 10  # problems in a block, which takes less time than a process gets at once
 NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}
 _OWN_PYTHON = Path(__file__).parents[1] / ".venv" / "acados" / "bin" / "python"
 

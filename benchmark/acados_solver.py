@@ -55,7 +55,7 @@ BUILDS = (
 MOST_CONDENSED = 60  # intervals; with more a condensed problem takes too long to be tried
 WARM_STARTS, QP_TOLERANCES = (0, 1, 2, 3), (1e-6, 1e-8, 1e-10)
 TOLERANCES = ("qp_tol_stat", "qp_tol_eq", "qp_tol_ineq", "qp_tol_comp")
-SOME, ITERATIONS, ROUNDS, FINALISTS = 60, 30, 5, 6
+SOME, ITERATIONS, ROUNDS, FINALISTS = 20, 30, 5, 6
 
 
 class System:

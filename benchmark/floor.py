@@ -12,24 +12,31 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from benchmark import problems
+from benchmark import native, problems
 from rhec.core._casadi import compiled
 
-# No arithmetic: where values come from and go to.
-_NOT_COUNTED = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN}
 PHASES = ("expand", "shift", "linearise", "feedback")
 
 
 def operations(function):
     """How many operations on scalars a Function does, by CasADi's number of the operation.
 
+    What it does in a branch alone, such as to look for another active set, is not counted.
+
     Args:
-        function: A Function of SX, or one that can be expanded to SX.
+        function: A Function of expressions.
     """
-    if not function.is_a("SXFunction"):
-        function = function.expand()
-    every = (function.instruction_id(k) for k in range(function.n_instructions()))
-    return Counter(each for each in every if each not in _NOT_COUNTED)
+    found = Counter()
+    is_scalar = function.is_a("SXFunction")
+    if not is_scalar and not function.is_a("MXFunction"):
+        return found  # a branch
+    for k in range(function.n_instructions()):
+        what = function.instruction_id(k)
+        if what == ca.OP_CALL:
+            found += operations(function.instruction_MX(k).which_function())
+        elif ca.OP_ASSIGN < what < ca.OP_CONST:  # CasADi numbers its arithmetic first
+            found[what] += 1 if is_scalar else function.instruction_MX(k).nnz()
+    return found
 
 
 def _seconds_a_flop():
@@ -53,11 +60,10 @@ def measure(in_c):
     seconds = _seconds_a_flop()
     loop = problems.robot(problems.PAPERS_SIZE[0], 1)
     rows = []
-    for problem, live in zip(("RHE", "RHC"), loop.case.live(loop.guess)):
-        counts = {
-            name: sum(operations(live.iteration.phases[name].function).values())
-            for name in PHASES
-        }
+    structures = native.structures(loop)
+    for problem, build, structure in zip(("RHE", "RHC"), loop.case.builds, structures):
+        phases = build(structure)
+        counts = {name: sum(operations(phases[name]).values()) for name in PHASES}
         feedback = counts.pop("feedback")
         for phase, number in dict(preparation=sum(counts.values()), feedback=feedback).items():
             rows.append(dict(problem=problem, phase=phase, operations=number))

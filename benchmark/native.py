@@ -70,6 +70,11 @@ class Steps:
         return us[: int(rows[:, -1].sum())] / samples
 
 
+def structures(loop):
+    """What the Functions of a loop's estimator and controller are built from."""
+    return [getattr(live, name) for live, name in zip(loop.case.live(loop.guess), _STRUCTURES)]
+
+
 MOST = 60  # problems in a block, which takes less time than a process gets at once
 
 
@@ -79,8 +84,7 @@ def block(loop, recorded):
     recorded = recorded[:MOST]
     window, newest = np.split(loop.z[: case.horizon + MOST], [case.horizon])
     columns = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
-    structures = [getattr(live, name) for live, name in zip(case.live(loop.guess), _STRUCTURES)]
-    libraries = [_library(*each) for each in zip(case.builds, structures)]
+    libraries = [_library(*each) for each in zip(case.builds, structures(loop))]
     inputs = (
         dict(z_N=newest),
         dict(

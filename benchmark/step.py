@@ -163,7 +163,7 @@ def spread(times, by):
     ).reset_index()
 
 
-def _acados(case, recorded):
+def acados_of(case, recorded):
     """acados, or None with a line that says why it is left out."""
     if not acados_peer.command():
         return None
@@ -174,7 +174,7 @@ def _acados(case, recorded):
         return None
 
 
-def measure(loop, rounds=30, counted=False):
+def measure(loop, rounds=30):
     """Who agrees how well, and the table of times.
 
     `ratio` is the contestant's step over that of rhec from Python, one iteration, block beside
@@ -183,11 +183,10 @@ def measure(loop, rounds=30, counted=False):
     Args:
         loop: A Loop.
         rounds: How often each contestant has its turn.
-        counted: Whether instructions are counted as well, at the paper's size alone.
     """
     recorded = problems.record(loop)
     case = loop.case
-    acados = _acados(case, recorded)
+    acados = acados_of(case, recorded)
     agreeing, iterations = agreement(loop, recorded, acados)
     good = {row["contestant"] for row in agreeing.to_dict("records") if agreed(row)}
     contestants = {
@@ -210,9 +209,6 @@ def measure(loop, rounds=30, counted=False):
     )
     ratio = whole.div(whole[FROM_PYTHON], axis=0).median()
     table["ratio"] = table["contestant"].map(ratio).where(table["problem"].isin(WHOLE))
-    if counted and instructions.available():
-        table = table.merge(instructions.measure(acados), how="left")
-        table = table.astype({"instructions": "Int64"})
     if acados:
         acados.close()
     size = dict(system=case.system, states=len(case.model.states), intervals=case.horizon)

@@ -89,9 +89,6 @@ def step():
             "both, median [quartiles]": _quartiles(row),
             "over rhec from Python": _ratio(row["ratio"]),
         }
-        if "instructions" in row:
-            number = row["instructions"]
-            shown["instructions"] = _NONE if pd.isna(number) else f"{number:,.0f}"
         rows.append(shown)
     return f"{measured_on('step')}\n\n{_markdown(pd.DataFrame(rows))}"
 
@@ -258,7 +255,21 @@ def beside_peers():
     return _markdown(pd.DataFrame(rows))
 
 
+def packages():
+    """What each extra adds, see `docs.site.packages`."""
+    rows = [
+        {
+            "": f"`pip install '.[{row['extra']}]'` adds" if row["extra"] else "`pip install .`",
+            "packages": row["packages"],
+            "MB": f"{row['megabytes']:.0f}",
+        }
+        for row in read("packages").fillna({"extra": ""}).to_dict("records")
+    ]
+    return _markdown(pd.DataFrame(rows))
+
+
 BLOCKS = {
+    "packages": packages,
     "peers": beside_peers,
     "bench_step": step,
     "bench_agreement": agreement,

@@ -26,6 +26,7 @@ PAGES = (
     "docs/claims.md",
     "docs/interpretations.md",
     "docs/performance.md",
+    "docs/systems.md",
 )
 
 
