@@ -37,6 +37,14 @@ def save(table, name):
     print(f"\n{name}\n{shown.to_string(index=False, float_format='{:.4g}'.format)}", flush=True)
 
 
+def save_each(loops, name):
+    """Measure a step of each loop, and save the table after each of them."""
+    found = []
+    for loop in loops:
+        found.append(steps.measure(loop, ROUNDS)[1])
+        save(pd.concat(found), name)
+
+
 def say_what_is_missing():
     """A line for each contestant, or means of counting, that is not installed."""
     if steps.REFERENCE not in peers.PEERS:
@@ -68,15 +76,13 @@ def counts():
 @part
 def horizons():
     """One step by horizon, of the paper's robot."""
-    loops = (problems.robot(horizon, SAMPLES) for horizon in HORIZONS)
-    save(pd.concat(steps.measure(loop, ROUNDS)[1] for loop in loops), "horizons")
+    save_each((problems.robot(horizon, SAMPLES) for horizon in HORIZONS), "horizons")
 
 
 @part
 def states():
     """One step by the number of states, of the heated rod."""
-    loops = (problems.rod(number, SAMPLES) for number in STATES)
-    save(pd.concat(steps.measure(loop, ROUNDS)[1] for loop in loops), "states")
+    save_each((problems.rod(number, SAMPLES) for number in STATES), "states")
 
 
 @part

@@ -49,19 +49,19 @@ class Acados:
         self.ways, self.chosen = self._hear(self._process)
 
     def _start(self, command):
-        self._complaints = tempfile.TemporaryFile("w+")
-        return subprocess.Popen(
-            command, env=self._environment, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints,
-        )  # fmt: skip
+        self._complaints = Path(self._folder.name, "complaints.txt")
+        with self._complaints.open("w") as complaints:
+            return subprocess.Popen(
+                command, env=self._environment, text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints,
+            )  # fmt: skip
 
     def _hear(self, process):
         """Its next answer; RuntimeError with its last line if it has ended."""
         answer = process.stdout.readline()
         if answer:
             return json.loads(answer)
-        self._complaints.seek(0)
-        last = self._complaints.read().strip().splitlines()[-1:]
+        last = self._complaints.read_text().strip().splitlines()[-1:]
         raise RuntimeError(f"acados ended: {' '.join(last)}")
 
     def _ask(self, **question):

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmark import models  # noqa: E402
+from benchmark import models
 
 try:
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver

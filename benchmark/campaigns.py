@@ -19,7 +19,7 @@ def _processor_s():
 
 
 def measure(rounds=2, runs=RUNS):
-    """Table of medians [s]: drives of 240 s of the default scenario, each with a seed of its own."""
+    """Table of seconds: drives of 240 s of the default scenario, each with a seed of its own."""
     rows = []
     for number in range(-1, rounds):  # the first round compiles and starts the workers
         for workers in range(1, (os.cpu_count() or 1) + 1):
@@ -41,7 +41,7 @@ def measure(rounds=2, runs=RUNS):
 
 
 def drive(rounds=10):
-    """Table [ms] of one drive by rhec.simulate, log and metrics included, each with another seed."""
+    """Table [ms] of one drive by rhec.simulate, with log and metrics, each by another seed."""
     times = []
     for seed in range(-1, rounds):
         scenario = rhec.Scenario(seed=max(seed, 0))

@@ -228,8 +228,10 @@ def lines():
 def beside_peers():
     """README's table: a step, a drive, many drives, and the lines that a user writes."""
     whole = _whole(read("step"))["median_us"]
-    both = read("lines").groupby("contestant", sort=False)["lines"].apply(
-        lambda each: " / ".join(map(str, each))
+    both = (
+        read("lines")
+        .groupby("contestant", sort=False)["lines"]
+        .apply(lambda each: " / ".join(map(str, each)))
     )
     found = _drives()
     rows = []
@@ -249,10 +251,24 @@ def beside_peers():
                 "a step": in_units(1e-6 * whole[name]),
                 "a drive": in_units(one),
                 f"{DRIVES:,} drives": in_units(many),
-                "lines: control / estimation": both.get("rhec" if name == FROM_PYTHON else name, _NONE),
+                "lines: control / estimation": both.get(
+                    "rhec" if name == FROM_PYTHON else name, _NONE
+                ),
             }
         )
     return _markdown(pd.DataFrame(rows))
+
+
+def or_missing(function):
+    """The text of a function, or a sentence in its place while its table is missing."""
+
+    def text():
+        try:
+            return function()
+        except FileNotFoundError as error:
+            return f"`{Path(error.filename).name}` is missing: `make bench` measures it."
+
+    return text
 
 
 def packages():
@@ -268,7 +284,7 @@ def packages():
     return _markdown(pd.DataFrame(rows))
 
 
-BLOCKS = {
+_TABLES = {
     "packages": packages,
     "peers": beside_peers,
     "bench_step": step,
@@ -281,3 +297,4 @@ BLOCKS = {
     "bench_floor": floor,
     "bench_lines": lines,
 }
+BLOCKS = {name: or_missing(function) for name, function in _TABLES.items()}

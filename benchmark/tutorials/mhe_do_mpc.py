@@ -1,4 +1,4 @@
-"""The inertia of one of three masses from noisy angles, as do-mpc's "Getting started: MHE" has it."""
+"""The inertia of one of three masses from noisy angles, after do-mpc's "Getting started: MHE"."""
 
 import casadi as ca
 import do_mpc
@@ -47,7 +47,8 @@ mhe.x0 = np.zeros(6)
 mhe.p_est0 = 1e-4
 mhe.set_initial_guess()
 for k in range(100):
-    u = 2 * rng.uniform(-1, 1, (2, 1)) if k % 5 == 0 else u
+    if k % 5 == 0:
+        u = 2 * rng.uniform(-1, 1, (2, 1))
     z = simulator.make_step(u, v0=0.01 * rng.normal(size=(5, 1)) * [[1], [1], [1], [0.1], [0.1]])
     mhe.make_step(z)
 LAST = float(mhe.p_est0["inertia"])

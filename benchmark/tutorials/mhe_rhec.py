@@ -38,7 +38,8 @@ rhe = rhec.RHE(
 rng = np.random.default_rng(0)
 x = START
 for k in range(100):
-    u = 2 * rng.uniform(-1, 1, 2) if k % 5 == 0 else u
+    if k % 5 == 0:
+        u = 2 * rng.uniform(-1, 1, 2)
     x = model.simulate(x, u, [INERTIA], dt=0.1)[-1]
     z = np.concatenate([x[:3], u]) + rng.normal(size=5) * sigma_v
     rhe.prepare()

@@ -1,4 +1,4 @@
-"""The masses brought to rest, as do-mpc's "Getting started: MPC" has it."""
+"""The masses brought to rest, after do-mpc's "Getting started: MPC"."""
 
 import casadi as ca
 import do_mpc

@@ -62,9 +62,7 @@ def measure():
     for extra in EXTRAS:
         needed = closure(NAME, extra) | base
         added = needed - base if extra else base
-        rows.append(
-            dict(extra=extra, packages=len(added), megabytes=sum(map(megabytes, added)))
-        )
+        rows.append(dict(extra=extra, packages=len(added), megabytes=sum(map(megabytes, added))))
     return pd.DataFrame(rows)
 
 

@@ -159,7 +159,10 @@ def paper_beside_ours(folder=RESULTS):
             lambda rule: _number_cell(numbers, "EKF", _VIOLATIONS, rule),
         ),
         "The RHE benefits from its traction estimates": ("yes", _conditions(folder, "B6").get),
-        "Share of worlds that fit the paper in which the RHE's error is less": (_NONE, _worlds(folder).get),
+        "Share of worlds that fit the paper in which the RHE's error is less": (
+            _NONE,
+            _worlds(folder).get,
+        ),
     }
     head = f"mean of {n} drives, turns {_TURNS[numbers.turns]}"
     return pd.DataFrame(

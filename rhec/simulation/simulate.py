@@ -9,7 +9,6 @@ from rhec.simulation.closed_loop import set_up, simulate_setup
 from rhec.simulation.run import Run
 from rhec.simulation.scenario import Scenario
 
-
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 

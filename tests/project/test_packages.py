@@ -5,9 +5,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from docs.site.packages import closure, measure, megabytes
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from docs.site.packages import closure, measure, megabytes
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
