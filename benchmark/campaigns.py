@@ -7,6 +7,8 @@ import pandas as pd
 import psutil
 
 import rhec
+from rhec.core._casadi import compiled
+from rhec.simulation import closed_loop
 
 RUNS = (1, 10, 100, 1000)
 
@@ -42,6 +44,8 @@ def measure(rounds=2, runs=RUNS):
 
 def drive(rounds=10):
     """Table [ms] of one drive by rhec.simulate, with log and metrics, each by another seed."""
+    # The first runs of a new loop would use code that is not optimised yet.
+    compiled.load(closed_loop.build_sample, *closed_loop.set_up(rhec.Scenario()).structure)
     times = []
     for seed in range(-1, rounds):
         scenario = rhec.Scenario(seed=max(seed, 0))
