@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark import tables as benchmark
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
 from notebooks.further import consistency, unknowns
@@ -18,7 +19,15 @@ from notebooks.studies import answer, calibration
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/interpretations.md")
+PAGES = (
+    "README.md",
+    "docs/results.md",
+    "docs/worth.md",
+    "docs/claims.md",
+    "docs/interpretations.md",
+    "docs/performance.md",
+    "docs/systems.md",
+)
 
 
 def _table(name, **options):
@@ -51,7 +60,8 @@ BLOCKS = {
     "noises": lambda: answer.to_markdown(calibration.readable_noises()),
     "consistency": _consistency,
     "worth": unknowns.in_words,
-}
+    "take": unknowns.in_short,
+} | benchmark.BLOCKS
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 

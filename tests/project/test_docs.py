@@ -70,8 +70,7 @@ def test_the_code_of_the_readme_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", TEXT["README.md"], re.DOTALL)
     exec(compile(code, "README.md", "exec"), there := {})
-    assert len(there["table"]) == 6 and there["table"]["mean_error_m"].notna().all()
-    assert len(there["estimates"]) == len(there["run"].log)
+    assert len(there["table"]) == 4 and there["table"]["mean_error_m"].notna().all()
 
 
 @pytest.mark.nightly
@@ -100,6 +99,7 @@ def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
     before = " ".join(lines[:answer])
     assert "field data of the paper were never published" in before
     assert "soil that was chosen so that the paper's numbers are possible" in before
+    assert len(lines) <= 100
     assert "make figures" in before and "make test" in before and before.count("<img") == 1
     (sentence,) = [line for line in lines[answer:end] if line.startswith("**")]
     assert sentence.count(". ") == 0 and sentence.endswith(".**")
