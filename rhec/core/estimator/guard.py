@@ -120,7 +120,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
             given["Q_window"] = whole_noise(window, given | used)["Q"]
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
         concluded = judge.conclude(window, inputs, verdict, result)
-        for name in ("agrees", "as_measured", "is_rejected"):
+        for name in ("agrees", "as_measured", "is_rejected", "s_predicted"):
             del verdict[name]
         taken = {f"{name}_taken": piece for name, piece in chosen.items()}
         taken |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}

@@ -168,6 +168,7 @@ class InnovationGate:
                 m_used=ca.if_else(run.restart, m, as_used.m),
                 P_used=ca.if_else(run.restart, P, as_used.P),
                 s_restart=run.s,
+                s_predicted=run.s_predicted,
                 m_alone=as_used.m,
                 as_measured=fits,
                 is_rejected=1 - is_used,
@@ -250,7 +251,7 @@ class InnovationGate:
             s_N = ca.if_else(is_there, opposite, s_N)
         restart *= new_start.fits(window, outputs, s, s_N, y)
         is_louder = is_noisy * ca.logic_or(is_noisier, restart)
-        return _Run(counted, y, square, s_N, is_noisier, is_louder, restart, opposite)
+        return _Run(counted, y, square, s, s_N, is_noisier, is_louder, restart, opposite)
 
     def _after(self, window, before, seen, run, is_used):
         """The noise's factor at this sample, and the memory after it."""
@@ -320,21 +321,28 @@ class InnovationGate:
             ok *= 1 - is_growing
             restart = ca.logic_or(restart, kept * is_growing)
         after = {name: value for name, value in verdict.items() if name.endswith("_after")}
+        newest = _joint_state(window, result["estimate"], verdict["s_predicted"])
+        moved = self._moved(window, verdict["s_predicted"], newest)
+        after["trail_after"] -= ca.repmat(moved, 1, 2)
         turn = self.half_turn_of(window)
         if self.sees_parameter(window):
             is_seen = turn.is_seen(window, result, _quantile(1))
-            turned = turn.counted(window, given, is_seen)
+            turned = turn.counted(window, given, is_seen, restart)
             ok *= 1 - is_seen
             restart = ca.logic_or(restart, kept * turn.is_certain(window, turned))
             after["turned_after"] = turned
         if self.sees_opposite(window):
-            newest = _joint_state(window, result["estimate"])
             goes_on = verdict["is_rejected"] * (1 - restart)
             opposite = turn.turned(window, newest, 1)
             after["opposite_after"] = ca.if_else(goes_on, after["opposite_after"], opposite)
         # A window that fails forgets: what its prediction left here may not be a number.
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
+
+    def _moved(self, window, s, s_new):
+        """By how much each judged output (n_y,) moves as a node moves from s to s_new."""
+        rows = [output.h(s_new) - output.h(s) for output in self.outputs(window)]
+        return ca.vertcat(ca.DM(0, 1), *rows)
 
     def build_restarted(self, window):
         """The memory of a window that restarts at its newest sample, unless it goes on."""
@@ -387,6 +395,7 @@ class _Run(NamedTuple):
     counted: Any  # {name: value} of the memory
     y: Any  # (n_y,) innovation where the window would restart
     square: Any  # of the second difference of innovations
+    s_predicted: Any  # (n_s,) the prediction with what is known of the inputs
     s: Any  # (n_s,) the prediction from which it would restart
     is_noisier: Any  # whether the newest one agrees if the noise is what they scatter
     is_louder: Any  # whether the noise is taken to be that
@@ -429,9 +438,10 @@ def _kinds(window, estimate):
     return [ca.vertcat(*(values[name] for name in names)) for names in kinds]
 
 
-def _joint_state(window, estimate):
-    """The joint state (n_s,) of an estimate."""
-    values = dict(zip(window.estimated, ca.vertsplit(estimate)))
+def _joint_state(window, estimate, s):
+    """The joint state (n_s,) of an estimate; what that does not hold is as in s."""
+    values = dict(zip(window.model.joint_names, ca.vertsplit(s)))
+    values |= dict(zip(window.estimated, ca.vertsplit(estimate)))
     return ca.vertcat(*(values[name] for name in window.model.joint_names))
 
 
