@@ -59,7 +59,11 @@ def _shapes(function, *without):
 
 def _call(function, values):
     """A Function of these values, in which Q is that of all intervals."""
-    values = values | dict(Q=values.get("Q_window"))
+    return _inlined(function, values | dict(Q=values.get("Q_window")))
+
+
+def _inlined(function, values):
+    """The results of a Function, by name."""
     arguments = [values[name] for name in function.name_in()]
     # Inlined, an MX Function does not copy its results into those of the one around it.
     results = function.call(arguments, function.is_a("MXFunction"), False)
@@ -68,7 +72,7 @@ def _call(function, values):
 
 def noise_as_used(window, values, scale):
     """`values` with the variances V of a time when the noise had this scale."""
-    return values | dict(V=noise_level.scaled(window, values["V"], ca.fmax(scale, 1)))
+    return values | dict(V=noise_level.scaled(window, values["V"], scale))
 
 
 def _wrap_shift(window, shift_of_rhe, memory, symbols):
@@ -96,8 +100,9 @@ def _wrap_linearise(window, linearise_of_rhe, symbols):
 def _wrap_feedback(window, feedback_of_rhe, symbols):
     judge = window.judge
     function = judge.build(window)
+    is_clean = judge.build_is_clean(window)
     intervals = newest_interval.build(window, judge) if window.at_measured_input else None
-    shapes = _shapes(feedback_of_rhe) | _shapes(function, *newest_interval.VARIANTS)
+    shapes = _shapes(feedback_of_rhe) | _shapes(function, "is_clean", *newest_interval.VARIANTS)
     shapes |= newest_interval.needs(window) if intervals else {}
     # The process noise of the sample has the name of the one by which the arrival cost grows.
     if window.noisy:
@@ -109,7 +114,8 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         given = inputs | dict(Q=inputs.get("W"))
         if intervals:
             given |= intervals(**select_inputs(intervals, given))
-        verdict = function(**select_inputs(function, given))
+        given |= is_clean(**select_inputs(is_clean, given))
+        verdict = _inlined(function, given)
         chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
         given = newest_interval.replaced(given, chosen)
         given = noise_as_used(window, given, verdict["scale_used"])
