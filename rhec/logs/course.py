@@ -23,9 +23,20 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.simulation.columns import ESTIMATE, GYRO, GYRO_ACCEPTED, LEVER_ARM, MEASUREMENTS, SENSORS
+from rhec.simulation.columns import (
+    ESTIMATE,
+    GYRO,
+    GYRO_ACCEPTED,
+    LEVER_ARM,
+    MEASUREMENTS,
+    SENSORS,
+    SIGMA,
+)
 
 SIGMA_BY_COURSE = "sigma_by_course_rad"  # of a sample: what its yaw's σ has by the course
+UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
+_OFTEN = 0.1  # share of the samples
+_MOVING_MPS = 0.05
 _SPEEDS = MEASUREMENTS[2:]
 
 
@@ -136,3 +147,27 @@ def yaw_sigma_rad(samples, sigma_m):
     away = _mean(away**2, pieces["weight"].to_numpy(), pieces.index, len(samples))
     variance = TUNED.factor**2 * np.maximum(swing - TUNED.quiet_rad**2, 0)
     return np.sqrt(variance + np.maximum(away - TUNED.most_rad**2, 0))
+
+
+def unknown_yaw(samples):
+    """In which share of the drive the yaw is not known, and why, as a sentence; or None.
+
+    Args:
+        samples: DataFrame of a replay's samples.
+    """
+    moving = samples[samples[MEASUREMENTS[2]].abs() > _MOVING_MPS]
+    is_unsure = moving[SIGMA[2]] > UNSURE_YAW_RAD
+    if not is_unsure.mean() > _OFTEN:
+        return None
+    by_course = (moving[SIGMA_BY_COURSE] > UNSURE_YAW_RAD)[is_unsure].mean() > 0.5
+    why = "positions and encoders say little of it"
+    if by_course:
+        why = (
+            "the course turns where encoders and gyro do not, or is not along the yaw: the robot "
+            "slips sideways, positions wander, or a sensor is wrong"
+        )
+    told = "a heading" if by_course else "a gyro or a heading"
+    return (
+        f"The yaw is not known to {UNSURE_YAW_RAD} rad in {is_unsure.mean():.1%} of the drive, "
+        f"because {why}; {told} in the log would tell it."
+    )

@@ -8,8 +8,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs.checks import refuse
+from rhec.logs.course import UNSURE_YAW_RAD
 from rhec.logs.recording import delayed, prepare
-from rhec.logs.remarks import UNSURE_YAW_RAD
 from rhec.logs.replay import InitialGuess, estimate_samples, measured_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, SENSORS, TRUE_SPEEDS
 from rhec.simulation.fault_signals import corrupted
