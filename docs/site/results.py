@@ -13,12 +13,19 @@ import pandas as pd
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
 from notebooks.further import consistency, unknowns
+from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/interpretations.md")
+PAGES = (
+    "README.md",
+    "docs/results.md",
+    "docs/claims.md",
+    "docs/interpretations.md",
+    "docs/recorded_robots.md",
+)
 
 
 def _table(name, **options):
@@ -51,6 +58,7 @@ BLOCKS = {
     "noises": lambda: answer.to_markdown(calibration.readable_noises()),
     "consistency": _consistency,
     "worth": unknowns.in_words,
+    **{f"recorded_{name}": block for name, block in recorded.BLOCKS.items()},
 }
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
