@@ -173,13 +173,6 @@ def _check_clock(recording):
             f"the time falls back by {back_s:.4g} s{hour}; what follows counts as another drive",
             "If files were pasted together, replay each, or number them in a column segment.",
         )
-    if faults["headers"]:
-        times = "once" if faults["headers"] == 1 else f"{faults['headers']} times"
-        yield note(
-            "repeated_header",
-            f"the line of names stands {times} more between the rows",
-            "Several files may have been pasted together: replay each by itself.",
-        )
 
 
 def _check_rates(recording):

@@ -245,7 +245,7 @@ WRONG = {
         change(LOG.index == 700, x_m=X + 5e4),
         "^1 values of x_m are left out, because none",
     ),
-    "two files pasted together": (PASTED, BACK.format("149.9 s"), "names stands once more"),
+    "two files pasted together": (PASTED, BACK.format("149.9 s")),
     "an hour back": (LOG.assign(t_s=T + 4000 - 3600 * (T > 75)), BACK.format("3600 s, an hour.*")),
     "positions at 0.5 Hz": (LOG.assign(**positions_of_every(20)), "positions come at 0.5 Hz"),
     "no positions for 30 s": (change(FAULTY, x_m=np.nan, y_m=np.nan), "positions .*up to 30.1 s"),

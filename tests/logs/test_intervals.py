@@ -7,10 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from helpers import recorded_log
 
 import rhec
 from notebooks.further.recorded import verdicts
 from notebooks.further.recorded.rivals import RIVALS
+from notebooks.studies.statistics import share_interval
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.recording import prepare
 
@@ -102,5 +104,59 @@ def test_the_covariances_of_the_yaml_make_a_consistent_filter():
             errors.append(error / np.sqrt(np.diag(P)))
             squares.append(error @ np.linalg.solve(P, error))
     inside = (np.abs(errors) <= 1.96).mean(axis=0)
-    print(inside, np.std(errors, axis=0), np.mean(squares))
     assert (inside > 0.85).all() and 0.5 < np.mean(squares) / 3 < 2
+
+
+# Intervals: how many of them hold the truth
+
+
+def is_plausible(k, n, least=0.90, most=0.99):
+    """Whether k of n intervals may hold the truth in `least` to `most` of all cases."""
+    low, high = share_interval(k, n)
+    return high >= least and low <= most
+
+
+def judged(seeds, worlds):
+    """Rows of `verdicts.judged`: open loop, and closed loop in worlds."""
+    rows = []
+    for seed in seeds:
+        known = [verdicts.MU, verdicts.KAPPA, 0.0]
+        rows.append(verdicts.judged(verdicts.open_loop_log(seed, duration_s=120.0), known))
+        rows += [verdicts.judged(verdicts.closed_loop_log(world, (), seed)) for world in worlds]
+    return pd.DataFrame(rows)
+
+
+def of_traction(rows, name):
+    """How many intervals of `rhec.log` hold the truth."""
+    return int(rows[f"{name}_true"].between(rows[f"{name}_low"], rows[f"{name}_high"]).sum())
+
+
+@pytest.mark.parametrize(
+    "seeds, worlds",
+    [
+        pytest.param(range(800, 802), ["soft"]),
+        pytest.param(range(810, 850), [], marks=pytest.mark.nightly),
+        pytest.param(range(850, 858), [*rhec.WORLDS], marks=pytest.mark.nightly),
+    ],
+)
+def test_intervals_of_the_traction_and_the_yaw_hold_the_truth(seeds, worlds):
+    """Those of the yaw may hold it more often: a robot may slip less than the defaults expect."""
+    rows = judged(seeds, worlds)
+    for name in ("μ", "κ", "drift"):
+        assert is_plausible(of_traction(rows, name), len(rows)), (name, len(rows))
+    assert rows["way_in_95"].mean() > 0.9 and rows["smoothed_in_95"].mean() > 0.9
+
+
+@pytest.mark.nightly
+def test_intervals_of_a_calibration_hold_the_truth():
+    """Of the noise and the delay of the positions, and of the place of the antenna."""
+    arm_m, noise_m, n = (0.25, -0.1), 0.05, 40
+    held = dict.fromkeys(("noise of the position", "antenna ahead", "antenna left"), 0)
+    held["delay of the positions"] = 0
+    truth = dict(zip(held, (noise_m, *arm_m, 0.0)))
+    for seed in range(n):
+        log = recorded_log(5.0, 120.0, noise_m=noise_m, seed=seed, arm_m=arm_m)
+        report = rhec.calibrate(log, trust_log=True).report
+        for name, value in truth.items():
+            held[name] += report.loc[name, "low"] < value < report.loc[name, "high"]
+    assert all(is_plausible(k, n, most=1.0) for k in held.values()), held
