@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 
-from notebooks.further.c_code import toolchain
+from notebooks.studies import toolchain
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off"]
 

@@ -33,11 +33,7 @@ ESTIMATORS = {  # fields of Scenario
     f"{estimator.upper()}, {rule}": dict(estimator=estimator, process_noise=rule)
     for estimator in ("ekf", "rhe")
     for rule in _RULES
-} | {
-    "bounded EKF, prediction": dict(estimator="bounded_ekf"),
-    "yaw-drift EKF, prediction": dict(estimator=RIVALS["yaw_drift_ekf"]),
-    "traction oracle, prediction": dict(estimator=RIVALS["traction_oracle"]),
-}
+} | {"traction oracle, prediction": dict(estimator=RIVALS["traction_oracle"])}
 # By this factor NEES by its degrees of freedom, and a state's error over σ, may be off 1.
 _BAND = 1.25
 _EVERY = 5  # `departure` sees every fifth sample: errors last for seconds

@@ -4,8 +4,7 @@
 `recorded` takes the estimator that was judged on a log. The folder `c` contains the files that are
 the same in all exports: the interface rhec.h and rhec.c, the programs replay.c, times.c, fuzz.c of
 a Scenario, and search.h, search.c, replay_log.c of a log.
-`notebooks.further.c_code` compiles and runs an export on this machine and, emulated, on
-64-bit Arm.
+`notebooks/studies/exported_c.py` measures an export on this machine and, emulated, on 64-bit Arm.
 """
 
 import contextlib

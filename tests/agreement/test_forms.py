@@ -18,7 +18,7 @@ from robots import ROBOTS, VARIANTS
 
 import rhec
 from notebooks.claims.live_robot import LiveRobot
-from notebooks.further.c_code import toolchain
+from notebooks.studies import toolchain
 from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array

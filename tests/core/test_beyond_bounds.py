@@ -2,11 +2,11 @@
 
 import casadi as ca
 import numpy as np
+import published_problems
 import pytest
 from helpers import no_compiler
 
 import rhec
-from notebooks.further import constrained_gallery
 
 INF = np.inf
 
@@ -114,7 +114,7 @@ def test_a_reactor_at_its_lowest_level_is_ok(price):
 @pytest.mark.nightly
 def test_a_price_far_above_the_multiplier_of_a_bound_that_is_almost_reached():
     """do-mpc's reactor creeps up to 140 °C, whose price exceeds all that is left to gain by 1e9."""
-    problem = constrained_gallery.cstr()
+    problem = published_problems.cstr()
     model = problem.options["model"]
     mpc = controller(**problem.options)
     goal = dict(x_ref=problem.goal)

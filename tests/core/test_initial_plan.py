@@ -1,13 +1,13 @@
 """A controller starts from a plan that it is given, and ends at the solution beside it."""
 
 import numpy as np
+import published_problems
 import pytest
 
 import rhec
-from notebooks.further import gallery
 from notebooks.studies.ipopt import NEAR, PlanProblem
 
-PENDULUM = gallery.pendulum()
+PENDULUM = published_problems.pendulum()
 N = 20
 OPTIONS = PENDULUM.options | dict(dt=0.05, horizon=N)
 GOAL = np.zeros(4)

@@ -1,13 +1,13 @@
 """Receding horizon control: eq. (NMPC), one Gauss-Newton iteration a sample, or iterated."""
 
 import numpy as np
+import published_problems
 import pytest
 from condensed_rhc import rhc_by
 from oracles import N, drive, rhc_by_ipopt, rhc_instance, rhc_weights
 from robots import DT, ROBOTS
 
 import rhec
-from notebooks.further import gallery
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
@@ -122,7 +122,7 @@ def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
 
 def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
     """States of a pendulum that no plan expects, so that the search of the active set gives up."""
-    pendulum = gallery.pendulum()
+    pendulum = published_problems.pendulum()
     rhc = rhec.RHC(**pendulum.options | dict(dt=0.05))
     rng = np.random.default_rng(2)
     solved = []

@@ -21,8 +21,8 @@ from oracles import mhe_instance
 from robots import DT, ROBOTS
 
 import rhec
-from notebooks.further.c_code import toolchain
 from notebooks.rivals import RIVALS
+from notebooks.studies import toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience

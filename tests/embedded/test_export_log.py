@@ -8,7 +8,7 @@ import pytest
 from helpers import recorded_log
 
 import rhec
-from notebooks.further.c_code import toolchain
+from notebooks.studies import toolchain
 from rhec.embedded.phases import operations
 from rhec.embedded.recorded import build_move, example_of
 from rhec.logs.recording import prepare

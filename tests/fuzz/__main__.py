@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 
 import rhec
-from notebooks.further.c_code import toolchain
+from notebooks.studies import toolchain
 
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus"

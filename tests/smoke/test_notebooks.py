@@ -35,7 +35,6 @@ SMALL = {
     "06_claims": Small(
         dict(looks=[10], posterior=3, world_fields=3), ("claims", "claims_coverage")
     ),
-    "further/gallery": Small(dict(seed=0), ("table_gallery_control", "table_gallery_estimation")),
     "08_interpretations": Small(
         dict(seeds=2, paired_seeds=4, order_fields=4, training_seeds=1),
         ("audit_interpretations", "audit_order"),
@@ -53,10 +52,11 @@ SMALL = {
     "07_which_worlds": Small(
         dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")
     ),
-    "further/c_code": Small(dict(seed=1), ("table_embedded_sizes",)),
     "further/your_robot": Small(dict(duration_s=20), ("table_your_robot",)),
     "00_start": Small(dict(seed=1)),
-    "05_computation_times": Small(dict(duration_s=20), ("table1_computation_times",)),
+    "05_computation_times": Small(
+        dict(duration_s=20), ("table1_computation_times", "table_embedded_sizes")
+    ),
     "02_equations": Small(dict(intervals=8)),
 }
 

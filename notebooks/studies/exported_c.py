@@ -1,4 +1,4 @@
-"""Tables of an export: agreement with Python, memory, fuzzing, and times.
+"""Tables of an export of `rhec.export`: agreement with Python, memory, and times.
 
 What the tools of this machine cannot measure is left out.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from notebooks.further.c_code import toolchain
+from notebooks.studies import toolchain
 from notebooks.studies.timing import PHASES
 from rhec import paper
 from rhec.simulation.columns import MEASUREMENTS
@@ -27,14 +27,12 @@ def measure(export):
     - sizes: one row a machine: the largest difference to Python in the export's log, and bytes
       of code, memory and stack;
     - times: mean and worst [ms] of this machine and of the paper's, one row a machine, source,
-      problem and phase;
-    - nonsense: the report of `fuzz` on this machine.
+      problem and phase.
     """
     export = Path(export)
     header = (export / "rhec_memory.h").read_text()
     memory_bytes = int(re.search(r"RHEC_MEMORY_BYTES (\d+)", header)[1])
     sizes = []
-    nonsense = pd.DataFrame()
     times = reported()
     # The two are one where this machine is a 64-bit Arm.
     for machine in dict.fromkeys(filter(None, (toolchain.this_machine(), toolchain.arm()))):
@@ -44,9 +42,8 @@ def measure(export):
             sizes.append(_size(machine, export, objects, replay, memory_bytes))
             # An emulator tells nothing about time.
             if not machine.emulator:
-                nonsense, pairs = _run_here(machine, export, objects)
-                times += _rows("this machine", "rhec, measured", pairs)
-    return dict(sizes=pd.DataFrame(sizes), times=pd.DataFrame(times), nonsense=nonsense)
+                times += _rows("this machine", "rhec, measured", _run(machine, export, objects))
+    return dict(sizes=pd.DataFrame(sizes), times=pd.DataFrame(times))
 
 
 def _size(machine, export, objects, replay, memory_bytes):
@@ -62,13 +59,11 @@ def _size(machine, export, objects, replay, memory_bytes):
     return row | toolchain.sizes(machine, objects)
 
 
-def _run_here(machine, export, objects):
-    """The report of `fuzz`, and mean and worst times [ms] of each phase, (4, 2)."""
-    fuzz = toolchain.program(machine, export, "fuzz", objects)
+def _run(machine, export, objects):
+    """Mean and worst times [ms] of each phase, (4, 2)."""
     clock = toolchain.program(machine, export, "times", objects)
-    nonsense = toolchain.nonsense(machine, fuzz)
     taken = toolchain.times(machine, clock, export / "log.csv") / 1e3
-    return nonsense, np.column_stack([taken.mean(axis=0), taken.max(axis=0)])
+    return np.column_stack([taken.mean(axis=0), taken.max(axis=0)])
 
 
 def _rows(machine, who, pairs):

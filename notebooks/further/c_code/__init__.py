@@ -1,1 +1,0 @@
-"""Measure an export of `rhec.export`: agreement with Python, memory, fuzzing, times."""
