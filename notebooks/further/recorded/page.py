@@ -72,19 +72,21 @@ def _of_logs(table):
     return {words: by_log.loc[name] for name, words in LOGS.items() if name in by_log.index}
 
 
-def _plus_minus(value, low, high):
-    """A value with half of its interval, which has two digits."""
+def _plus_minus(value, low, high, shown=2):
+    """A value with half of its interval, of which this many digits are shown."""
     half = (high - low) / 2
     if not np.isfinite(half) or half <= 0:
         return f"{value:.3g}"
-    digits = max(0, 1 - int(np.floor(np.log10(half))))
+    digits = max(0, shown - 1 - int(np.floor(np.log10(half))))
     return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def readable_mounting():
     rows = []
     for robot, row in _of_logs(_table("mounting")).items():
-        ways = [f"{row[f'{way}_rad']:.3f} ({row[f'{way}_n']})" for way in ("forwards", "backwards")]
+        ways = [
+            f"{row[f'{way}_rad']:.3f} ({row[f'{way}_n']:.0f})" for way in ("forwards", "backwards")
+        ]
         rows.append([robot, f"{row['angle_rad']:.3f}", *ways])
     columns = ["", "median [rad]", "forwards (seconds)", "backwards (seconds)"]
     return to_markdown(pd.DataFrame(rows, columns=columns))
@@ -124,7 +126,7 @@ def readable_yaw():
                 cells.append("defaults kept")
                 continue
             row = table.loc[(estimator, tuned, name)]
-            error = _plus_minus(*row[["yaw_rms_rad", "low", "high"]])
+            error = _plus_minus(*row[["yaw_rms_rad", "low", "high"]], shown=1)
             cells.append(f"{error}, {row['inside_95']:.2f}")
         rows.append([f"{estimator}, {_TUNED[tuned]}", *cells])
     return to_markdown(pd.DataFrame(rows, columns=["estimator, tuned on", *LOGS.values()]))
@@ -146,20 +148,21 @@ def readable_unsure():
 def readable_verdicts():
     rows = []
     for (drives, n), of in _table("verdicts").groupby(["drives", "seeds"], sort=False):
-        row = [f"{of['n'].sum()} drives in {drives}, {n} seeds of each kind"]
+        row = [f"{of['n'].sum()} in {drives}", n]
         for rate in ("false trust", "false alarm"):
             one = of.set_index("rate").loc[rate]
             interval = f" [{one['low']:.2f}, {one['high']:.2f}]" if one["n"] else ""
             row += [one["n"], f"{one['k']}{interval}"]
         rows.append(row)
-    columns = ["", "wrong", "false trust", "not wrong", "false alarm"]
+    columns = ["drives", "seeds of a kind", "wrong", "false trust", "not wrong", "false alarm"]
     return to_markdown(pd.DataFrame(rows, columns=columns))
 
 
 def readable_coverage():
     table = _table("coverage")
     numbers = table.columns[2:]
-    shown = table.assign(**{name: table[name].map("{:.2f}".format) for name in numbers})
+    texts = {name: table[name].map("{:.2f}".format).replace("nan", "–") for name in numbers}
+    shown = table.assign(**texts)
     shown["loop"] += " loop: " + shown["kind"]
     return to_markdown(shown.drop(columns="kind").rename(columns=dict(loop="")))
 

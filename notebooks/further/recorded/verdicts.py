@@ -230,13 +230,13 @@ def rates(rows):
 def coverage(rows):
     """How often 95 % intervals hold the truth, by loop and kind, a DataFrame.
 
-    Those of μ, κ and the drift once a drive, those of the yaw in the mean over its samples.
+    Those of μ, κ and the drift once a drive, NaN where a log is too short for them; those of the
+    yaw in the mean over its samples.
     """
-    held = {
-        name: rows[f"{name}_true"].between(rows[f"{name}_low"], rows[f"{name}_high"])
-        for name in ("μ", "κ", "drift")
-    }
-    table = rows[["loop", "kind"]].assign(**held)
+    table = rows[["loop", "kind"]].copy()
+    for name in ("μ", "κ", "drift"):
+        low, true, high = (rows[f"{name}_{end}"] for end in ("low", "true", "high"))
+        table[name] = true.between(low, high).where(low.notna()).astype(float)
     table["yaw on the way"] = rows["way_in_95"]
     table["yaw smoothed"] = rows["smoothed_in_95"]
     return table.groupby(["loop", "kind"], sort=False).mean().reset_index()
