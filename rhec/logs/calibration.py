@@ -195,7 +195,7 @@ def calibrate_recorded(recording: Recording, position_delay_s: float = 0.0) -> C
     recording = _usable(recording)
     _refuse_straight(recording)
     yaws = _first_yaws(delayed(recording, position_delay_s))
-    log = _Log(recording, yaws, position_delay_s)
+    log = _Log(recording, yaws, position_delay_s, declared_m(recording.rows))
     fit = _fitted(log, position_delay_s)
     log = log._replace(delay=_delay(log, fit))
     remarks = []
@@ -204,7 +204,7 @@ def calibrate_recorded(recording: Recording, position_delay_s: float = 0.0) -> C
         if changed:
             fit, remark = changed
             remarks.append(remark)
-    result = _calibration(log, fit)
+    result = Calibration(_arguments(log, fit), _report(log, fit))
     result.remarks = remarks
     return result
 
@@ -218,6 +218,7 @@ class _Log(NamedTuple):
     recording: Recording  # with positions at their time stamps
     yaws: list  # at the beginning of each segment [rad]
     known_delay_s: float  # of the positions, 0 where it is not known
+    declared_m: float  # noise of the positions by their receiver, 0 where it declares none
     delay: tuple = (0.0, np.inf)  # the likeliest one, and its standard deviation [s]
 
 
@@ -230,20 +231,20 @@ class _Fit(NamedTuple):
     is_used: bool = True  # or the defaults of `rhec.replay` are
 
 
-def _fields(values, recording):
+def _fields(values, log):
     """The parameters of a Scenario with these values of the unknowns."""
     values = iter(values)
     position, speed, yaw_rate = itertools.islice(values, 3)
     # Widened, the noise of the positions is at least that which the receiver declares.
-    position = max(position, declared_m(recording.rows) / _CORRELATED)
+    position = max(position, log.declared_m / _CORRELATED)
     fields = dict(
         sigma_v=(position, position, speed, yaw_rate),
         sigma_w=tuple(itertools.islice(values, 2)),
         slip=tuple(itertools.islice(values, len(tuning.SLIP))),
     )
-    if "gyro" in recording.sensors:
+    if "gyro" in log.recording.sensors:
         fields["sigma_gyro"] = tuple(itertools.islice(values, 2))
-    if "heading" in recording.sensors:
+    if "heading" in log.recording.sensors:
         fields["sigma_heading"] = next(values)
     return fields
 
@@ -273,7 +274,7 @@ def _likelihood(log, delay_s, every=1):
             speed_model="slipping",
             track_width_m=recording.track_width_m,
             sensors=recording.sensors,
-            **_fields(values, recording),
+            **_fields(values, log),
         )
         return estimator_of("rhe").settings(scenario)
 
@@ -363,7 +364,7 @@ def _defaults_predict_better(log, fit):
         hidden = hidden_errors(recording, lambda shown: estimate_samples(shown, scenario, first))
         return hidden["error_m"].to_numpy()
 
-    errors = errors_m(_calibration(log, fit)), errors_m({})
+    errors = errors_m(_arguments(log, fit)), errors_m({})
     ratios = np.subtract(*(np.log(each + _LEAST_ERROR_M) for each in errors))
     if len(ratios) < _LEAST_OUTAGES:
         return None
@@ -383,8 +384,26 @@ _HYPOTHESES = (_late, _wandering, _defaults_predict_better)
 # What is made of it
 
 
-def _calibration(log, fit):
-    """The Calibration by a _Fit, with its report."""
+def _antenna(fit):
+    """{name: (mean, standard deviation)} of the antenna's place at the end of the log [m]."""
+    last = filtering.last_estimates(fit.likelihood.model, fit.likelihood.filtered(fit.x))
+    return dict(zip(("antenna ahead", "antenna left"), (last[name] for name in LEVER_ARM)))
+
+
+def _arguments(log, fit):
+    """The arguments of `rhec.replay` by a _Fit."""
+    arguments = dict(position_delay_s=fit.delay_s) if fit.delay_s else {}
+    if not fit.is_used:
+        return arguments
+    arguments |= _widened(_fields(fit.likelihood.values(fit.x), log), log.recording.sensors)
+    places = _antenna(fit).values()
+    if all(sigma < _DETERMINED_ARM_M for _, sigma in places):
+        arguments["lever_arm_m"] = tuple(float(place) for place, _ in places)
+    return arguments
+
+
+def _report(log, fit):
+    """The report of a Calibration by a _Fit."""
     report = fit.likelihood.report(fit.x)
     noise = report.loc[_POSITION.name, ["value", "low", "high"]].astype(float)
     if noise["value"] > _POSITION.least:
@@ -394,25 +413,13 @@ def _calibration(log, fit):
         noise["low"] = 0.0
         report.loc[_POSITION.name, "determined"] = False
     # Errors that wander for minutes do not show in the positions, but the receiver declares them.
-    report.loc[_POSITION.name, noise.index] = noise.clip(lower=declared_m(log.recording.rows))
-    last = filtering.last_estimates(fit.likelihood.model, fit.likelihood.filtered(fit.x))
-    arm = [last[name] for name in LEVER_ARM]
-    is_known = all(sigma < _DETERMINED_ARM_M for _, sigma in arm)
+    report.loc[_POSITION.name, noise.index] = noise.clip(lower=log.declared_m)
     others = [
-        normal_report(name, "m", *place, is_determined=place[1] < _DETERMINED_ARM_M)
-        for name, place in zip(("antenna ahead", "antenna left"), arm)
+        normal_report(name, "m", mean, sigma, sigma < _DETERMINED_ARM_M)
+        for name, (mean, sigma) in _antenna(fit).items()
     ]
-    is_determined = log.delay[1] < _LATE_S
-    others.append(normal_report("delay of the positions", "s", *log.delay, is_determined))
-    fields = _fields(fit.likelihood.values(fit.x), log.recording)
-    arguments = {}
-    if fit.is_used:
-        arguments |= _widened(fields, log.recording.sensors)
-        if is_known:
-            arguments["lever_arm_m"] = tuple(float(place) for place, _ in arm)
-    if fit.delay_s:
-        arguments["position_delay_s"] = fit.delay_s
-    return Calibration(arguments, pd.concat([report, *others]))
+    others.append(normal_report("delay of the positions", "s", *log.delay, log.delay[1] < _LATE_S))
+    return pd.concat([report, *others])
 
 
 def _widened(fields, names):
