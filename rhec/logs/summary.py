@@ -16,8 +16,8 @@ import pandas as pd
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
 from rhec.logs.calibration import LOG_ARGUMENTS, calibrate_recorded
+from rhec.logs.checks import Diagnosis, doctor
 from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw
-from rhec.logs.doctor import Diagnosis, doctor
 from rhec.logs.finding import Severity
 from rhec.logs.judge import HIDDEN_S, judge
 from rhec.logs.likelihood import Calibration

@@ -9,7 +9,7 @@ from notebooks.further.recorded import verdicts
 
 @pytest.mark.parametrize("kind", verdicts.OPEN_LOOP)
 def test_a_robot_in_open_loop_is_what_its_kind_says(kind):
-    """It turns κ times as far as its tracks and the drift times its way, which is μ times theirs."""
+    """It goes μ times as far as its tracks, turns κ times, and drifts in proportion to its way."""
     changes = verdicts.OPEN_LOOP[kind] | dict(slip=0.0, lag_s=0.0)
     log = verdicts.open_loop_log(3, **changes)
     assert log["t_s"].iloc[-1] == pytest.approx(changes.get("duration_s", 180.0), abs=0.02)
