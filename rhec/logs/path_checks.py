@@ -19,7 +19,7 @@ from rhec.simulation.columns import MEASUREMENTS
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # Lengths of the intervals. The shortest one in which motion exceeds the noise is used.
-_LENGTHS_S = (0.6, 1.2, 2.4)
+LENGTHS_S = (0.6, 1.2, 2.4)
 _DELAYS_S = np.arange(-20, 21) / 10  # that are tried
 _NO_DELAY = 20  # its place among these
 # The motion explains the path if it explains more than this share of the squares.
@@ -224,7 +224,7 @@ def compare(tracks, length_s, delay_s):
 def _motion(rows):
     """The _Motion of a log; None if it is too short."""
     tracks = tracks_of(rows)
-    for length_s in _LENGTHS_S:
+    for length_s in LENGTHS_S:
         compared = [compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
         if compared[0] is None:
             return None
@@ -331,5 +331,5 @@ def check_clock_offset(recording):
 @np.errstate(all="ignore")
 def _shares(tracks, offsets_s):
     """{offset of the clocks: share of the squares of the distances that the encoders explain}."""
-    compared = {each: compare(tracks, _LENGTHS_S[-1], each) for each in offsets_s}
+    compared = {each: compare(tracks, LENGTHS_S[-1], each) for each in offsets_s}
     return {each: slopes[0].share for each, slopes in compared.items() if slopes}
