@@ -7,8 +7,8 @@ docs/recorded_robots.md. With 4 seeds these are 80 drives in closed and 44 in op
 
 A log is *wrong* if more than 5 % of its true yaws are more than 0.2 rad off, on the way or
 smoothed, if the κ of the true path is more than 0.02 outside its interval, or if fewer than 85 % of
-the true yaws on the way are within 1.96 σ. *False trust* is trust in a wrong log, *false alarm* none
-in one that is not.
+the true yaws on the way are within 1.96 σ. *False trust* is trust in a wrong log, *false alarm*
+none in one that is not.
 """
 
 import sys
