@@ -14,6 +14,7 @@ from benchmark import tables as benchmark
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
 from notebooks.further import consistency, unknowns
+from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
@@ -26,6 +27,7 @@ PAGES = (
     "docs/claims.md",
     "docs/interpretations.md",
     "docs/performance.md",
+    "docs/recorded_robots.md",
     "docs/systems.md",
 )
 
@@ -61,6 +63,7 @@ BLOCKS = {
     "consistency": _consistency,
     "worth": unknowns.in_words,
     "take": unknowns.in_short,
+    **{f"recorded_{name}": block for name, block in recorded.BLOCKS.items()},
 } | benchmark.BLOCKS
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 

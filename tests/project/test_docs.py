@@ -9,6 +9,9 @@ from helpers import no_compiler
 
 import rhec
 from docs.site import results
+from notebooks.further import transfer
+from notebooks.further.recorded import scores, verdicts
+from rhec.logs.course import UNSURE_YAW_RAD
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -89,6 +92,14 @@ def test_the_results_in_readme_and_docs_are_those_of_the_tables():
         assert results.rewrite(text) == text, f"{page}: python -m docs.site.results writes it"
     used = [name for text in texts for name in re.findall(r"<!-- results (\w+) -->", text)]
     assert sorted(used) == sorted(results.BLOCKS)
+
+
+def test_no_result_on_recorded_robots_is_written_by_hand():
+    """Its decimals outside of tables that are made are parameters of the code that makes them."""
+    page = re.sub(r"<!-- results .*?<!-- end -->", "", TEXT["recorded_robots.md"], flags=re.DOTALL)
+    of_code = {transfer.NOISE_M, transfer.YAW_ERROR_RAD, scores.Z_95, UNSURE_YAW_RAD}
+    of_code |= {scores.BAD_RAD, scores.GOOD_RAD, verdicts.BAD_RAD, verdicts.FAR_KAPPA}
+    assert {float(number) for number in re.findall(r"\d+\.\d+", page)} <= of_code
 
 
 def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
