@@ -42,6 +42,7 @@ html_math_renderer = "mathml"
 nb_execution_mode = "off"
 nb_output_stderr = "remove"
 nb_merge_streams = True
+nb_render_markdown_format = "gfm"  # outputs have tables
 nb_code_prompt_show = "Code"
 nb_code_prompt_hide = "Code"
 nb_ipywidgets_js = {}

@@ -1,7 +1,10 @@
 """Captions of a notebook's pictures, which stand in its prose, and alternative texts of them."""
 
+import html
 import re
 import textwrap
+
+from latex2mathml.converter import convert
 
 _LONGEST = 250  # characters of an alternative text
 
@@ -24,8 +27,18 @@ def with_captions(notebook):
 
 def alternative_text(caption):
     """What is read aloud in place of a picture with this caption."""
-    words = re.sub(r"[*#`$\\]", "", without_links(caption))
+    words = re.sub(r"[*#`]", "", without_links(_with_plain_formulas(caption)))
     return textwrap.shorten(words, _LONGEST, placeholder=" …")
+
+
+def _with_plain_formulas(markdown):
+    """A text in Markdown with the letters of its formulas: θ^−θ for $\\hat\\theta - \\theta$."""
+
+    def letters(formula):
+        mathml = convert(formula[1]).replace("<msqrt>", "√")
+        return html.unescape(re.sub(r"<[^>]*>", "", mathml))
+
+    return re.sub(r"\$([^$]+)\$", letters, markdown)
 
 
 def without_links(markdown):

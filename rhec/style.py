@@ -32,6 +32,7 @@ _LATEX = str.maketrans({letter: f"\\{letter}" for letter in "_%#&$"})
 # Widths of the paper's figures [in]
 COLUMN_IN = 3.4
 DOUBLE_IN = 6.5
+SMALL_PT = 7  # the smallest text of a figure, at its width in print
 
 # Okabe and Ito's palette for colour-blind readers. A colour has the same role in all figures.
 BLACK = "#000000"
@@ -303,7 +304,9 @@ def _noted(figure, note):
     from matplotlib.transforms import Bbox
 
     width, height = figure.get_size_inches()
-    line = figure.text(0.02, 1.0, note, size=6, color=VERMILLION, va="bottom", parse_math=False)
+    line = figure.text(
+        0.02, 1.0, note, size=SMALL_PT, color=VERMILLION, va="bottom", parse_math=False
+    )
     try:
         yield Bbox([[0, 0], [width, height + _NOTE_IN]])
     finally:

@@ -1,11 +1,17 @@
-"""What is wrong with the texts of a figure: text over text, text beyond the figure or its box."""
+"""What is wrong with the texts of a figure: text over text, text beyond the figure or its box, text
+that is too small in print.
+"""
 
 import itertools
+import re
+import zlib
 from unittest import mock
 
 import numpy as np
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
+
+from rhec.style import SMALL_PT
 
 SLACK_PT = 0.6  # of a text on each side: boxes of texts are a little larger than their ink
 MARGIN_PT = 0.5  # that a text keeps from the edges of its box
@@ -72,12 +78,15 @@ def is_cut_by(box, points):
 
 
 def text_defects(figure):
-    """Sentences that name each text over another, beyond the figure, or out of its box."""
+    """Sentences that name each text over another, beyond the figure, out of its box, or small."""
     slack = SLACK_PT * figure.dpi / 72
     texts = drawn_texts(figure)
     places = [corners(text, slack) for text in texts]
     names = [text.get_text() for text in texts]
     defects = []
+    for text in texts:
+        if text.get_fontsize() < SMALL_PT:
+            defects.append(f"{text.get_text()!r} has {text.get_fontsize():g} pt")
     for name, points in zip(names, places):
         low, high = points.min(axis=0), points.max(axis=0)
         if (low < 0).any() or (high > figure.bbox.size).any():
@@ -91,3 +100,21 @@ def text_defects(figure):
             cut = [box for box in boxes_of(text.axes) if is_cut_by(box, points)]
             defects += [f"{text.get_text()!r} sticks out of its box" for _ in cut]
     return defects
+
+
+def sizes_in_print(pdf):
+    """The sizes [pt] of the texts of a figure in a PDF that Matplotlib wrote.
+
+    A text with indices, which are smaller, counts by its largest letters.
+    """
+    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf.read_bytes(), re.DOTALL)
+    sizes = []
+    for stream in streams:
+        try:
+            drawn = zlib.decompress(stream)
+        except zlib.error:  # of a font, for example
+            continue
+        for block in re.findall(rb"\bBT\b(.*?)\bET\b", drawn, re.DOTALL):
+            found = re.findall(rb"/[\w-]+ ([\d.]+) Tf", block)
+            sizes.append(max(map(float, found), default=np.inf))
+    return sizes

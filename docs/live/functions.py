@@ -16,7 +16,7 @@ from rhec.core._casadi.c_text import generate_c
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.parts import parts_of
-from rhec.tracked_robot.path import Path, advance, ahead_and_left
+from rhec.tracked_robot.path import SAME_M, Path, advance, ahead_and_left, on_arc, on_line
 
 __all__ = ["ERRORS", "MAX_SAMPLES", "argument_tables", "build_functions", "c_module", "c_text"]
 __all__ += ["with_segments"]
@@ -26,7 +26,6 @@ MAX_SAMPLES = 1200  # of a run: four minutes
 ERRORS = ("error_m", "error_true_m", "left_m", "on_straight")
 # Arrays that hold one entry per sample; all others hold one entry.
 _LOGGED = ("memory", "noise", "row", "covariance", "errors")
-_SAME_M = 1e-9  # of two points whose distances differ by less, the first one counts as closest
 _LOOP_C = pathlib.Path(__file__).parent / "loop.c"
 
 
@@ -72,31 +71,22 @@ def closest(x, y, segments, length_m):
     """
     columns = ca.horzsplit(segments)
     ends = [*(column[0] for column in columns[1:]), length_m]
-    best = ca.vertcat(np.inf, 0, 0)
+    best = ca.vertcat(np.inf, 0, columns[0])
     for column, end in zip(columns, ends):
         s, x_0, y_0, theta, c = ca.vertsplit(column)
         ahead, left = ahead_and_left(x - x_0, y - y_0, theta, ca)
-        for place in _places(ahead, left, c, end - s):
-            x_p, y_p, theta_p = advance(0, 0, 0, c, place, ca)
-            along, across = ahead_and_left(ahead - x_p, left - y_p, theta_p, ca)
-            distance = ca.sqrt(along**2 + across**2)
-            found = ca.vertcat(distance, across, c)
-            best = ca.if_else(distance < best[0] - _SAME_M, found, best)
-    return ca.vertsplit(best)
-
-
-def _places(ahead, left, c, length):
-    """Candidates for the closest point of a line or arc, as lengths from its beginning [m].
-
-    On an arc that is the angle about its centre, over its curvature, in [0, 2π): beyond its end
-    either end may be closer.
-    """
-    turns = c != 0
-    c = ca.if_else(turns, c, 1)
-    angle = ca.atan2(ca.fabs(c) * ahead, 1 - c * left)
-    angle = angle + 2 * np.pi * (angle < 0)
-    place = ca.if_else(turns, angle / ca.fabs(c), ahead)
-    return ca.fmin(ca.fmax(place, 0), length), 0
+        turns = c != 0
+        (line,) = on_line(ahead, left, end - s, ca)
+        arc, beginning = on_arc(ahead, left, ca.if_else(turns, c, 1), end - s, ca)
+        # The beginning of a line is no closer than what on_line found.
+        nearest = [ca.if_else(turns, *both) for both in zip(arc, line)]
+        for distance, place in (nearest, beginning):
+            found = ca.vertcat(distance, place, column)
+            best = ca.if_else(distance < best[0] - SAME_M, found, best)
+    distance, place, _, x_0, y_0, theta, c = ca.vertsplit(best)
+    x_p, y_p, theta_p = advance(x_0, y_0, theta, c, place, ca)
+    _, across = ahead_and_left(x - x_p, y - y_p, theta_p, ca)
+    return distance, across, c
 
 
 def _build_errors(n_segments):

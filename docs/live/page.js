@@ -2,7 +2,7 @@
 "use strict";
 
 const $ = id => document.getElementById(id);
-const page = { loops: [] };
+const page = { loops: [], hidden: new Set(), views: new Views(() => ask(draw), { box: false }) };
 const NOISES = ["sigma_w", "sigma_v"]; // sliders of what an estimator assumes
 
 // From the controls to runs
@@ -100,7 +100,10 @@ function write(said) {
   const row = (title, cells) => `<tr><th scope="row">${title}</th>${cells.join("")}</tr>`;
   const heads = shown.map(([, head, unit]) => `<th scope="col">${head}<br>${unit}</th>`);
   const rows = loops.map(({ metrics }, i) => {
-    const line = `<span style="color: var(${colour_of(i)})">━</span> ${runs[i].name}`;
+    const { name } = runs[i];
+    const swatch = `<span style="color: var(${colour_of(i)})">━</span> ${name}`;
+    const line = `<button type="button" data-run="${name}" aria-pressed="${!page.hidden.has(name)}"`
+      + ` title="a click hides or shows it">${swatch}</button>`;
     return row(line, shown.map(
       ([name, , , digits]) => `<td>${number(metrics[name], digits)}</td>`));
   });
@@ -253,9 +256,18 @@ function begin(world) {
   dragged($("map"), grasped);
   $("map").ondblclick = event => add_patch(...page.map.data(event).map(Math.round));
   for (const id of ["error", "mu", "kappa", "omega"]) dragged($(id), () => event => {
-    $("moment").value = (event.offsetX - 38) / (event.target.clientWidth - 50);
+    const [time_s] = page.views.all.get($(id)).plot.data(event);
+    $("moment").value = time_s / (page.loops[0].samples * page.world.dt_s);
     ask(draw);
   });
+  $("metrics").onclick = ({ target }) => {
+    const button = target.closest("button");
+    if (!button) return;
+    const { run } = button.dataset;
+    if (!page.hidden.delete(run)) page.hidden.add(run);
+    button.ariaPressed = !page.hidden.has(run);
+    ask(draw);
+  };
   new ResizeObserver(() => page.soil && ask(draw)).observe($("pictures"));
   matchMedia("(prefers-color-scheme: dark)").onchange = () => ask(draw);
   if (!open_address()) choose("a");

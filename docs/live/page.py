@@ -91,7 +91,8 @@ def write(folder=REPORT):
     files.mkdir()
     for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
         shutil.copy(file, files)
-    shutil.copy(HERE.parents[1] / "rhec/explorer/plot.js", files)
+    for name in ("plot.js", "view.js", "view.css"):
+        shutil.copy(HERE.parents[1] / "rhec/explorer" / name, files)
     world = _world()
     data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:

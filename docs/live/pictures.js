@@ -28,16 +28,22 @@ function pose_of(loop, k) {
   return ["x_m", "y_m", "theta_rad"].map(name => loop.get(name)(k));
 }
 
+// Draw the runs that the reader has not hidden.
+function each_shown(draw_run) {
+  page.loops.forEach((loop, i) => page.hidden.has(page.runs[i].name) || draw_run(loop, i));
+}
+
 function draw_map(now) {
   const { loops, soil: { field: { lowest, highest } }, values } = page;
-  const map = new Plot($("map"), [lowest[0] - 2, highest[0] + 2],
+  const map = page.views.plot($("map"), [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 3.5, highest[1] + 2], { equal: true });
   draw_soil(map, page.soil);
   const followed = loops[page.followed];
   const glow = telling_of(followed);
   draw_telling(map, followed.samples, followed.get("x_m"), followed.get("y_m"), glow, 5);
-  loops.forEach((loop, i) => {
-    map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), colour_of(i));
+  each_shown((loop, i) => {
+    const label = page.runs[i].name;
+    map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), colour_of(i), { label });
     draw_robot(map, pose_of(loop, now), colour_of(i));
   });
   const yaw = values.start_yaw_rad;
@@ -111,7 +117,7 @@ function draw_over_time(id, [low, high], now, draw_loop) {
   const { loops, world: { dt_s, shaded } } = page;
   const time = k => k * dt_s;
   const end_s = time(loops[0].samples);
-  const plot = new Plot($(id), [0, end_s], [low, high], { across: "t [s]" });
+  const plot = page.views.plot($(id), [0, end_s], [low, high], { across: "t [s]" });
   if (loops.some(({ data }) => data.faulty)) {
     for (const [from, to] of shaded[$("fault").value]) {
       const across = [from, Math.min(to, end_s)];
@@ -119,7 +125,7 @@ function draw_over_time(id, [low, high], now, draw_loop) {
       plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
     }
   }
-  loops.forEach((loop, i) => draw_loop(plot, loop, colour_of(i), time));
+  each_shown((loop, i) => draw_loop(plot, loop, colour_of(i), time, page.runs[i].name));
   plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
   plot.limit = value =>
     plot.line(2, i => i * end_s, () => value, "--ink", { width: 1, dash: [5, 4] });
@@ -130,8 +136,8 @@ function draw_error(now) {
   const { loops, world } = page;
   const largest = Math.max(0.3, ...loops.map(({ metrics }) => 1.1 * metrics.max_error_true_m));
   const plot = draw_over_time("error", [0, Math.min(largest, 5)], now,
-    (plot, loop, colour, time) =>
-      plot.line(loop.samples, time, loop.get("error_true_m"), colour));
+    (plot, loop, colour, time, label) =>
+      plot.line(loop.samples, time, loop.get("error_true_m"), colour, { label }));
   plot.limit(world.tolerance_m);
 }
 
@@ -146,20 +152,21 @@ function draw_traction(name, now) {
   const least = Math.min(...page.loops.flatMap(loop =>
     [name, `${name}_hat`].map(each => lowest_of(loop, each))));
   const low = [0.8, 0.6, 0.4, 0.2].find(floor => floor < least) ?? 0;
-  draw_over_time(name, [low, 1.02], now, (plot, loop, colour, time) => {
+  draw_over_time(name, [low, 1.02], now, (plot, loop, colour, time, label) => {
     const sigma = loop.sigma(name);
     const estimate = loop.get(`${name}_hat`);
     if (sigma) plot.band(loop.samples, time, estimate, k => 2 * sigma(k), colour);
-    plot.line(loop.samples, time, loop.get(name), "--ink", { width: 0.8, alpha: 0.7 });
-    plot.line(loop.samples, time, estimate, colour);
+    plot.line(loop.samples, time, loop.get(name), "--ink",
+      { width: 0.8, alpha: 0.7, label: `truth of ${label}` });
+    plot.line(loop.samples, time, estimate, colour, { label });
   });
 }
 
 function draw_yaw_rate(now) {
   const bound = page.values.omega_max_radps;
   const plot = draw_over_time("omega", [-1.2 * bound, 1.2 * bound], now,
-    (plot, loop, colour, time) =>
-      plot.line(loop.samples, time, loop.get("omega_cmd_radps"), colour));
+    (plot, loop, colour, time, label) =>
+      plot.line(loop.samples, time, loop.get("omega_cmd_radps"), colour, { label }));
   plot.limit(bound);
   plot.limit(-bound);
 }
@@ -174,4 +181,5 @@ function draw() {
   draw_traction("mu", now);
   draw_traction("kappa", now);
   draw_yaw_rate(now);
+  page.views.point(page.views.k);
 }

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from notebooks.claims.summary import verdict_counts
 from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies import answer
-from notebooks.studies.tables import interval_text
+from notebooks.studies.tables import interval_text, three_digits
 
 __all__ = ["LIVE", "interval", "page"]
 
@@ -38,6 +38,7 @@ _RIGHT = 346.0
 _MARGIN = 0.07  # on both sides of what is shown, as a share of it
 _ROWS = {"here": 26.0, "other": 37.0}
 _TICKS = 4
+_FAR = 4.0  # the other finding is beyond the scale if it would make that this many times as long
 
 
 def page(claims, live=False):
@@ -138,15 +139,17 @@ def _value_and_interval(row, prefix):
 def interval(row):
     """The places [px] of a claim's interval, its rule's limits and the paper's number on one scale.
 
-    Shares are drawn from 0 to 1, positive ratios on a logarithmic scale.
+    Shares are drawn from 0 to 1, positive ratios on a logarithmic scale. What was found under the
+    other condition, that of a lost rival for example, may lie so far away that all else would fall
+    on one point. Then it is an arrow at the edge, with its number.
 
     Args:
         row: A row of the ledger, with "" for what is missing.
 
     Returns:
-        dict: `rows` [(kind, y, value, low, high)], `limits`, `paper` (or None), `inside` (left end
-        and width of where the rule says "holds"), `ticks` [(place, text)], `words`. None if there
-        is no number to draw.
+        dict: `rows` [(kind, y, value, low, high)], `beyond` (None, or y, the edge, its side, -1 or
+        1, and the number), `limits`, `paper` (or None), `inside` (left end and width of where the
+        rule says "holds"), `ticks` [(place, text)], `words`. None if there is no number to draw.
     """
     findings = {
         kind: _value_and_interval(row, prefix)
@@ -157,17 +160,35 @@ def interval(row):
         return None
     paper = _as_number(row["paper"])
     bounds = np.array([row["above"], row["below"]], dtype=float)
-    shown = [*np.ravel([*findings.values()]), *bounds, paper]
-    place, ticks = _scale(np.array([each for each in shown if np.isfinite(each)]), row["unit"])
+    words = _in_words(findings, row["bound"], paper)
+    near = _finite([*findings.get("here", ()), *bounds, paper])
+    beyond = None
+    if _is_far(findings.get("other"), near, row["unit"]):
+        value = findings.pop("other")[0]
+        side = int(np.sign(value - near.mean()))
+        beyond = _ROWS["other"], _RIGHT if side > 0 else _LEFT, side, three_digits(value)
+    place, ticks = _scale(_finite([*np.ravel([*findings.values()]), *near]), row["unit"])
     ends = np.clip([place(bound) for bound in bounds], _LEFT, _RIGHT)
     return dict(
         rows=[(kind, _ROWS[kind], *map(place, found)) for kind, found in findings.items()],
+        beyond=beyond,
         limits=sorted({round(place(bound), 1) for bound in bounds if np.isfinite(bound)}),
         paper=None if np.isnan(paper) else place(paper),
         inside=(ends[0], ends[1] - ends[0]),
         ticks=ticks,
-        words=_in_words(findings, row["bound"], paper),
+        words=words,
     )
+
+
+def _finite(values):
+    return np.array([each for each in values if np.isfinite(each)])
+
+
+def _is_far(other, near, unit):
+    """Whether a finding would make a linear scale around the others much too long."""
+    if other is None or len(near) < 2 or unit.startswith("share") or unit == "ratio":
+        return False
+    return np.ptp([other[0], *near]) > _FAR * np.ptp(near) > 0
 
 
 def _in_words(findings, bound, paper):

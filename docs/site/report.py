@@ -16,6 +16,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
@@ -49,6 +50,22 @@ _WIDTH_PX = 900  # of the pictures in notebooks
 SHOWN = ("furo", "Sphinx", "myst-nb", "Pygments")
 # Beginnings of the names of the paper's tables, in its order.
 _PAPERS_TABLES = ("table1", "table_scenario_a", "table_scenario_b", "claims")
+# {page: the pages below it in the menu}; docs/index.md has the pages at the top.
+_BELOW = {
+    "claims": ("docs/claims", "docs/interpretations", "docs/world", "docs/acado"),
+    "figures": ("notebooks/0[2-9]*", "notebooks/further/*"),
+    "docs/your_log": ("docs/log_columns", "docs/recorded_robots"),
+    "docs/extending": ("docs/campaigns", "docs/performance"),
+    "CONTRIBUTING": (
+        "docs/architecture",
+        "docs/naming",
+        "docs/what_did_not_pay",
+        "docs/systems",
+        "docs/threat_model",
+        "SECURITY",
+        "CHANGELOG",
+    ),
+}
 # Names of what a cell saves: `style.save(figure, "fig08_errors")`.
 _SAVED = re.compile(r'\bsave(?:_table)?\([^,]+,\s*"(\w+)"')
 _SHOWN_PNG = re.compile(r"(_images/[\w.-]+)\.png")
@@ -67,14 +84,18 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
     Raises:
         sphinx.errors.SphinxError: If a page cannot be built; the old site stays unchanged.
     """
+    began = time.monotonic()
     report.parent.mkdir(parents=True, exist_ok=True)
+    print(f"report: {len(notebooks)} notebooks and the documents become a site", flush=True)
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         source = Path(folder) / "source"
         site = Path(folder) / report.name
         _lay_out(source, notebooks, figures, live)
         tags = ["live"] if live else []
         doctrees = Path(folder) / "doctrees"
+        print("report: Sphinx writes the pages (half a minute or more)", flush=True)
         Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
+        print("report: pictures are made smaller", flush=True)
         for file in site.rglob("*.map"):  # of the theme's sources, which are not there
             file.unlink()
         with ThreadPoolExecutor() as threads:  # Pillow lets other threads run meanwhile
@@ -83,9 +104,14 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
             text = _SHOWN_PNG.sub(r"\1.webp", file.read_text(encoding="utf-8"))
             file.write_text(with_policy(text), encoding="utf-8")
         if live:
+            print("report: the closed loop becomes WebAssembly for the live page", flush=True)
             page.write(site)
         shutil.rmtree(report, ignore_errors=True)
         site.rename(report)
+    pages = sum(1 for _ in report.rglob("*.html"))
+    size_mb = sum(file.stat().st_size for file in report.rglob("*") if file.is_file()) / 1e6
+    took_s = time.monotonic() - began
+    print(f"report: {pages} pages, {size_mb:.1f} MB, in {took_s:.0f} s", flush=True)
 
 
 def _shrink(png):
@@ -135,6 +161,15 @@ def _lay_out(source, notebooks, figures, live):
     }
     for name, text in pages.items():
         (source / f"{name}.md").write_text(text, encoding="utf-8")
+    for name, below in _BELOW.items():
+        with (source / f"{name}.md").open("a", encoding="utf-8") as page_:
+            page_.write(_menu(below))
+
+
+def _menu(below):
+    """The pages below another one in the menu, in Markdown."""
+    names = "\n".join(f"/{name}" for name in below)
+    return f"\n\n```{{toctree}}\n:hidden:\n:glob:\n\n{names}\n```\n"
 
 
 def _link_cards(readme):

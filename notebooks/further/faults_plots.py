@@ -10,7 +10,7 @@ import numpy as np
 from notebooks.further.faults import FAMILIES
 from notebooks.plots.parts import BOUND, TOLERANCE, legend_outside, log_axis, note, seed_range
 from rhec import paper
-from rhec.style import DOUBLE_IN, colour_of, styled
+from rhec.style import DOUBLE_IN, SMALL_PT, colour_of, styled
 
 _WIDTHS = {"EKF": 2.0, "RHE": 0.8}
 # Limits of the error axis.
@@ -56,7 +56,7 @@ def fault_courses(keys, table, errors, before_s):
         duration_s = np.median(runs_of_case["end_s"] - runs_of_case["begin_s"])
         axes.axvspan(0, max(duration_s, paper.DT_S), **TOLERANCE, label="while it lasts")
         axes.axhline(paper.TOLERANCE_M, **BOUND, label=f"{paper.TOLERANCE_M} m")
-        axes.set_title("\n".join(lines), fontsize=6.5)
+        axes.set_title("\n".join(lines), fontsize=SMALL_PT)
         axes.set(yscale="log", xlim=(t_s[0], t_s[-1]))
         axes.minorticks_off()
     for axes in grid.flat[len(keys) :]:
@@ -97,14 +97,14 @@ def fault_overview(table, n):
         axes.grid(axis="y", visible=False)
     for place, (_, runs) in enumerate(cases):
         back = runs.set_index("estimator")["back"]
-        at = dict(xycoords=("axes fraction", "data"), fontsize=6)
+        at = dict(xycoords=("axes fraction", "data"))
         note(times, f"{back['RHE']}, {back['EKF']}", (1, place), (3, 0), **at)
         if place and cases[place - 1][0][0] != cases[place][0][0]:
             for axes in (errors, times):
                 axes.axhline(place - 0.5, color="0.6", linewidth=0.4)
-    log_axis(errors.xaxis)
+    log_axis(errors.xaxis, labelled=(1,))
     errors.axvline(paper.TOLERANCE_M, **BOUND)
-    errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=6)
+    errors.set_yticks(range(len(cases)), [_label(*key) for key, _ in cases], fontsize=SMALL_PT)
     errors.set(ylim=(len(cases) - 0.4, -0.6))
     errors.set_xlabel(f"largest true error afterwards [m],\ndashed: {paper.TOLERANCE_M} m")
     times.set_xlabel(f"time to recover [s]; right: how many\nof {n} seeds recovered, RHE and EKF")

@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.further import traction_map, traction_worth, unknowns
-from notebooks.plots.parts import DOTS, note, panels_beside
+from notebooks.plots.parts import DOTS, legend_outside, log_axis, note, panels_beside
 from rhec import paper, style
 
 _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
@@ -59,7 +59,7 @@ def _draw_seeds(axes, place, errors, largest, colour):
     if not inside.all():
         # A white box keeps the number readable on top of the dots.
         box = dict(boxstyle="square,pad=0.1", facecolor="w", edgecolor="none", alpha=0.85)
-        look = dict(ha="right", fontsize=5.5, color=colour, bbox=box, zorder=4)
+        look = dict(ha="right", color=colour, bbox=box, zorder=4)
         note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
 
 
@@ -97,19 +97,20 @@ def unknowns_by_difference(table):
         table: Of `notebooks.further.unknowns.worth_table`.
     """
     errors = table[table["quantity"] == unknowns.ERROR]
-    figure, panels = panels_beside(2, 2.6)
+    figure, panels = panels_beside(2, 3.4)
     for axes, weights in zip(panels, (unknowns.AS_PRINTED, unknowns.TUNED)):
         of_weights = errors[errors["weights"] == weights].set_index(["robot", "world"])
         for number, (robot, (colour, line)) in enumerate(_ROBOTS.items()):
             shift = 0.03 * (number - len(_ROBOTS) / 2)
             _draw_robot(axes, of_weights.loc[robot], colour, line, robot, shift)
         axes.set_title(weights, loc="center")
-        axes.set_xticks(range(len(_places())), [_label(world) for world in _places()], fontsize=5.5)
-        axes.set_yscale("log")
+        labels = [_label(world) for world in _places()]
+        axes.set_xticks(range(len(labels)), labels, fontsize=style.SMALL_PT, rotation=60)
+        log_axis(axes.yaxis)
         axes.set_ylim(_LEAST_M, _MOST_M)
-        axes.set_xlabel("d, by which the left track slips more, and other worlds")
+        axes.set_xlabel("d (the left track slips more), and other worlds")
     panels[0].set_ylabel("mean true error of a drive [m]")
-    panels[1].legend(fontsize=5, ncols=2, loc="upper right")
+    legend_outside(figure, panels[0], "lower center", 3)
     fields = errors["n"].min()
     words = f"W by prediction, turns to alternate sides, {fields} fields or more of each world"
     figure.suptitle(words, fontsize=8)
@@ -125,7 +126,7 @@ def _places():
 
 def _label(world):
     """A world, at the axis."""
-    return world.removeprefix("d = ").replace("-", "−").replace(", ", ",\n").replace("κ", "κ\n")
+    return world.removeprefix("d = ").replace("-", "−").replace(", ", ",\n")
 
 
 def _draw_robot(axes, errors, colour, line, label, shift):
@@ -145,9 +146,9 @@ def _draw_robot(axes, errors, colour, line, label, shift):
 def map_of_worth(table):
     """Draw the errors with estimated traction over those of each rival, a cell for each soil.
 
-    Blue cells say that estimating pays, orange ones that it costs; in a pale cell the 95 % interval
-    holds 1. A cross is a soil on which the robot is lost, even with estimated traction. Empty are
-    constants above 1.
+    Blue cells say that estimating pays, orange ones that it costs; a number is bold where the 95 %
+    interval excludes 1. A cross is a soil on which the robot is lost, even with estimated traction.
+    Hatched cells are constants above 1, which no rival is told.
 
     Args:
         table: Of `notebooks.further.traction_map.worth_map`.
@@ -163,10 +164,11 @@ def map_of_worth(table):
     figure.supxlabel("error of the constant κ that the rival is told [-]", fontsize=8)
     label = "error with estimated traction\nover the rival's [-]"
     figure.colorbar(image, ax=panels, label=label, fraction=0.03, pad=0.01, extend="both")
-    words = (
-        f"{table['n'].max()} fields a cell; pale: the 95 % interval holds 1; ×: the robot is lost"
-    )
-    figure.suptitle(words, fontsize=8)
+    words = [f"{table['n'].max()} fields a cell", "bold: the 95 % interval excludes 1"]
+    words += ["hatched: κ would be above 1"]
+    if (table["error_m"] > paper.TOLERANCE_M).any():
+        words += ["×: the robot is lost"]
+    figure.suptitle("; ".join(words), fontsize=8)
     return figure
 
 
@@ -177,17 +179,17 @@ def _draw_cells(axes, of_panel):
     cells = of_panel.set_index(["kappa", "told"])
     ratios = of_panel.pivot(index="kappa", columns="told", values="mean")
     ratios = ratios.reindex(kappas, columns=told)
-    is_certain = ((cells["high"] < 1) | (cells["low"] > 1)).unstack(fill_value=False)
-    is_certain = is_certain.reindex(kappas, columns=told, fill_value=False)
-    alpha = np.where(is_certain, 1.0, 0.35)
+    is_certain = (cells["high"] < 1) | (cells["low"] > 1)
     look = dict(cmap=_WORTH, vmin=1 - _SPAN, vmax=1 + _SPAN, aspect="auto")
     is_lost = of_panel.groupby("kappa")["error_m"].first().loc[kappas] > paper.TOLERANCE_M
-    image = axes.imshow(ratios.where(~is_lost, axis=0), alpha=alpha, **look)
+    axes.patch.set(hatch="////", edgecolor="0.8", linewidth=0)  # shows where no cell is
+    image = axes.imshow(ratios.where(~is_lost, axis=0), **look)
     for (kappa, name), cell in cells.iterrows():
         text = "×" if is_lost[kappa] else f"{cell['mean']:.2f}"
         place = told.index(name), kappas.index(kappa)
-        axes.text(*place, text, ha="center", va="center", fontsize=5)
-    axes.set_xticks(range(len(told)), [_tick(name) for name in told], fontsize=5.5)
+        weight = "bold" if is_certain[kappa, name] else "normal"
+        axes.text(*place, text, ha="center", va="center", fontsize=8, weight=weight)
+    axes.set_xticks(range(len(told)), [_tick(name) for name in told])
     axes.set_yticks(range(len(kappas)), [f"{each:g}" for each in kappas])
     axes.grid(visible=False)
     axes.tick_params(length=0)
@@ -197,6 +199,6 @@ def _draw_cells(axes, of_panel):
 def _tick(told):
     """What a rival is told, at the axis."""
     if told == traction_map.NO_SLIP:
-        return "no\nslip"
+        return "no slip"
     error = float(told)
     return f"{error:+g}".replace("-", "−") if error else "0"

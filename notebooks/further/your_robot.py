@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from notebooks.plots.parts import panels_beside
+from notebooks.plots.parts import legend_outside, panels_beside
 from rhec.style import BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
 
 _BOUND = dict(color=VERMILLION, linestyle=":")
@@ -18,13 +18,13 @@ _BOUND = dict(color=VERMILLION, linestyle=":")
 @styled
 def positions(tracks):
     """Draw {"reference", "truth", "measured" or "RHE": (n, 2) positions [m]} in the plane."""
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 1.9))
+    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.4))
     looks = dict(measured=dict(linestyle="none", marker=".", markersize=2, zorder=1))
     looks["reference"] = dict(linestyle="--")
     for name, track in tracks.items():
         axes.plot(*np.transpose(track), label=name, color=COLOURS[name], **looks.get(name, {}))
     axes.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
-    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    legend_outside(figure, axes, "lower center", 4)
     return figure
 
 

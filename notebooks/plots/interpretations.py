@@ -7,16 +7,25 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from notebooks.plots.parts import BOUND, legend_outside, note, panels_beside, shade
+from notebooks.plots.parts import (
+    BOUND,
+    legend_outside,
+    note,
+    panels_beside,
+    shade,
+    ticks_at_the_ends,
+)
 from notebooks.studies import statistics
 from notebooks.studies.interpretations import QUANTITIES
-from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, VERMILLION, styled
+from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, SMALL_PT, VERMILLION, styled
 
 _CHATTER_S = (40, 100)  # times before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
 _MOST_DEVIANCE = 2.0  # upper limit of the axis; such values are very unlikely
-_SMALL_LEGEND = dict(ncols=3, fontsize=6, loc="upper center", columnspacing=0.8, handlelength=1.2)
+# Above the axes and their title, so that no legend lies on a curve.
+_LEGEND_ABOVE = dict(loc="lower left", bbox_to_anchor=(-0.1, 1.12), borderaxespad=0)
+_LEGEND_ABOVE |= dict(fontsize=SMALL_PT, handlelength=1.2)
 
 
 def _mark(axes, **values):
@@ -30,7 +39,7 @@ def _swept(axes, label, **values):
     _mark(axes, **values)
     axes.set_xlabel(label)
     axes.minorticks_off()
-    axes.legend(loc="best", fontsize=6, frameon=True, framealpha=0.85, edgecolor="none")
+    axes.legend(**_LEGEND_ABOVE)
 
 
 def _means(axes, sweep, column, label, colour, marker):
@@ -48,7 +57,7 @@ def ekf_yaw(analysis, sweep, runs, printed, prediction):
     Args:
         analysis: Table of `notebooks.studies.interpretations.ekf_on_a_straight`.
     """
-    figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
+    figure, (gains, yaw, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.9))
     sigma_x_m = analysis["sigma_x_m"]
     for axes, column, colour, label in [
         (gains, "gain_position", BLACK, "position [-]"),
@@ -63,8 +72,7 @@ def ekf_yaw(analysis, sweep, runs, printed, prediction):
         c = run.columns
         look = dict(color=colour, linewidth=0.7, label=f"{value:g} m")
         time.plot(c["t_s"], c["theta_hat_rad"] - c["theta_rad"], **look)
-    time.margins(y=0.25)
-    time.legend(title=r"$\sigma_x$", title_fontsize=6, **_SMALL_LEGEND)
+    time.legend(title=r"$\sigma_x$", title_fontsize=SMALL_PT, **_LEGEND_ABOVE)
     gains.set(ylabel="steady gain of GNSS", title="gains on a straight")
     yaw.set(ylabel="yaw error [rad]", title=f"{sweep['seed'].nunique()} seeds")
     time.set(xlabel="time [s]", ylabel=r"$\hat\theta-\theta$ [rad]", title="seed 0")
@@ -78,7 +86,7 @@ def rhe_kappa(analysis, sweep, runs, printed, prediction):
     Args:
         analysis: DataFrame with sigma_kappa, straight, curve: standard deviations by the RHE.
     """
-    figure, (stated, simulated, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.3))
+    figure, (stated, simulated, time) = plt.subplots(1, 3, figsize=(DOUBLE_IN, 2.9))
     for part, colour in (("straight", VERMILLION), ("curve", BLUE)):
         stated.loglog(analysis["sigma_kappa"], analysis[part], color=colour, label=part)
     _means(simulated, sweep, "rms_kappa_straights", "straights", VERMILLION, "s")
@@ -86,7 +94,7 @@ def rhe_kappa(analysis, sweep, runs, printed, prediction):
     simulated.set(xscale="log", ylim=0)
     for axes in (stated, simulated):
         axes.axhline(_SIGMA_UNIFORM, label="anything in [0, 1]", **BOUND)
-        _swept(axes, r"$\sigma_\kappa$ of $W$ [a step]", printed=printed, prediction=prediction)
+        _swept(axes, r"$\sigma_\kappa$ of $W$ [-, a step]", printed=printed, prediction=prediction)
     for (value, run), colour in zip(sorted(runs.items(), reverse=True), _COLOURS):
         c = run.columns
         look = dict(color=colour, linewidth=0.8, label=f"{value:g}")
@@ -94,16 +102,16 @@ def rhe_kappa(analysis, sweep, runs, printed, prediction):
     time.plot(c["t_s"], c["kappa"], color=BLACK, linewidth=0.8, label="truth")
     shade(time, c["t_s"], ~c["on_straight"])
     time.set_xlim(*_CHATTER_S)
-    time.legend(**_SMALL_LEGEND)
-    stated.set(ylabel=r"standard deviation of $\hat\kappa$", title="by the RHE's covariance")
+    time.legend(title=r"$\sigma_\kappa$ [-]", title_fontsize=SMALL_PT, ncols=2, **_LEGEND_ABOVE)
+    stated.set(ylabel=r"standard deviation of $\hat\kappa$ [-]", title="by the RHE's covariance")
     title = f"simulated, {sweep['seed'].nunique()} seeds"
-    simulated.set(ylabel=r"RMS error of $\hat\kappa$", title=title)
+    simulated.set(ylabel=r"RMS error of $\hat\kappa$ [-]", title=title)
     time.set(
         xlabel="time [s]  (shaded: curves)",
         ylabel=r"$\hat\kappa$ [-]",
         title="seed 0, the first turn",
     )
-    time.set_ylim(-0.03, 1.35)
+    time.set_ylim(-0.03, 1.03)
     return figure
 
 
@@ -123,9 +131,9 @@ def likelihood(profiles):
         axes.set(xscale="log", xlabel=title, ylim=(-0.03 * most, most))
         beyond = (table["deviance"] > most).sum()
         cut = f"cut: {beyond} of {len(table)} above" if beyond else ""
-        axes.set_title(cut, fontsize=6.5)
+        axes.set_title(cut, fontsize=SMALL_PT)
         axes.minorticks_off()
-        axes.tick_params(axis="x", labelsize=6)
+        axes.tick_params(axis="x", labelsize=SMALL_PT)
     panels[0].set_ylabel("deviance a sample,\nabove least [-]")
     legend_outside(figure, panels[0], "upper right", 2)
     return figure
@@ -162,19 +170,21 @@ def forest(table, baseline):
             else:
                 side = np.sign(row.change)
                 axes.plot(side * most, place, ">" if side > 0 else "<", color=colour, markersize=4)
-                at = dict(xy=(side * most, place), offset=(-5 * side, 0), fontsize=5.5)
-                note(axes, f"{row.change:+.2g}", **at, ha="right" if side > 0 else "left")
+                at = dict(xy=(side * most, place), offset=(-5 * side, 0))
+                note(
+                    axes,
+                    f"{row.change:+.2g}".replace("-", "−"),
+                    **at,
+                    ha="right" if side > 0 else "left",
+                )
         axes.axvline(0, color=BLACK, linewidth=0.6)
+        ticks_at_the_ends(axes, [-most, 0, most])
         axes.set_xlim(-1.08 * most, 1.08 * most)
-        axes.set_xticks([-most, 0, most], [f"−{most:g}", "0", f"{most:g}"])
         words, _, unit = quantity.removesuffix("]").partition(" [")
         unit = "" if unit in ("", "-") else f" {unit}"
         title = f"{words}\n{rows.loc['baseline', 'value']:.3g}{unit}"
-        axes.set_title(title, fontsize=7, loc="center")
-        axes.tick_params(axis="x", labelsize=5.5)
-        # Labels at the ends stay within their panel, apart from those of its neighbours.
-        for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
-            label.set_horizontalalignment(side)
+        axes.set_title(title.replace("-", "−"), fontsize=SMALL_PT, loc="center")
+        axes.tick_params(axis="x", labelsize=SMALL_PT)
         axes.grid(axis="y", visible=False)
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]
     panels[0].set_yticks(range(len(labels)), labels)
@@ -184,7 +194,7 @@ def forest(table, baseline):
         f"change from the baseline ({description}), {table['n'].iloc[0]} seeds, 95 % intervals;\n"
     )
     scale = "vermillion: worse for the RHE, blue: better; arrows: off the scale, with numbers"
-    figure.supxlabel(label + scale, fontsize=7)
+    figure.supxlabel(label + scale, fontsize=SMALL_PT)
     return figure
 
 

@@ -6,24 +6,10 @@ from matplotlib.ticker import LogLocator
 
 import rhec
 from notebooks.studies.tables import interval_text
-from rhec.style import BLACK, COLOURS, DOUBLE_IN
-from rhec.tracked_robot import tuning
+from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
-_UNITS = {
-    "C": "°C",
-    "MJ_h": "MJ/h",
-    "N": "N",
-    "Nm": "N m",
-    "m": "m",
-    "mol_l": "mol/l",
-    "mps": "m/s",
-    "per_min": "1/min",
-    "rad": "rad",
-    "radps": "rad/s",
-}
-_GREEK = {"theta": "θ", "phi": "φ", "w": "ω"}
 _OF_WORLDS = {field for fields in rhec.WORLDS.values() for field in fields}  # what they differ in
 DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
@@ -35,26 +21,6 @@ def panels_beside(n, height_in, width_in=DOUBLE_IN):
     return figure, panels[0]
 
 
-def noise_text(process_noise):
-    """The rule that picked W of a drive, for a title."""
-    rule = process_noise or tuning.DEFAULT_RULE
-    return {
-        "prediction": "W by prediction",
-        "tracking": "W by tracking",
-        "soft_soil": "W by prediction on soft soil",
-    }.get(rule, f"W {rule}")
-
-
-def turns_text(turns):
-    """Which way the path of a drive turns, for a title."""
-    return {
-        "alternate": "turns to alternate sides",
-        "left": "turns to the left only",
-        "right": "turns to the right only",
-        "figure_of_eight": "a figure of eight",
-    }[turns]
-
-
 def world_text(scenario):
     """The world of a Scenario by its name, for a title."""
     for name, fields in rhec.WORLDS.items():
@@ -62,20 +28,6 @@ def world_text(scenario):
         if all(getattr(scenario, field) == getattr(usual, field) for field in _OF_WORLDS):
             return f"{name} world"
     return "a world of its own"
-
-
-def in_words(name):
-    """The name of a signal as people write it: "theta_rad" is "θ [rad]"."""
-    words = name.split("_")
-    for length in (2, 1):  # as in "mol_l", then as in "rad"
-        unit = _UNITS.get("_".join(words[-length:]))
-        if unit and words[:-length]:
-            return f"{_spoken(words[:-length])} [{unit}]"
-    return _spoken(words)
-
-
-def _spoken(words):
-    return " ".join(_GREEK.get(word, word) for word in words)
 
 
 def seed_range(sweep):
@@ -122,7 +74,7 @@ def rows_axis(axes, labels, quantity):
 
 def note(axes, text, xy, offset=(0, 0), **look):
     """Write small text at an offset [points] from a point."""
-    look = dict(textcoords="offset points", fontsize=7, va="center") | look
+    look = dict(textcoords="offset points", fontsize=SMALL_PT, va="center") | look
     axes.annotate(text, xy, offset, **look)
 
 
@@ -153,9 +105,18 @@ def legend_outside(figure, axes, place, ncols):
     figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
 
 
-def log_axis(axis):
-    """Make an axis logarithmic, with labels at 1, 2 and 5."""
+def ticks_at_the_ends(axes, ticks):
+    """Limit the x axis to three ticks: both ends, with their labels inside, and the middle."""
+    axes.set_xlim(ticks[0], ticks[-1])
+    texts = [f"{tick:.2g}" if abs(tick) < 100 else f"{tick:.0f}" for tick in ticks]
+    axes.set_xticks(ticks, [text.replace("-", "−") for text in texts])
+    for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
+        label.set_horizontalalignment(side)
+
+
+def log_axis(axis, labelled=(1, 2, 5)):
+    """Make an axis logarithmic, with labels at these multiples of the powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_locator(LogLocator(subs=labelled))
     axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()

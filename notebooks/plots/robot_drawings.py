@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Affine2D
 
 from rhec import paper
-from rhec.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, VERMILLION, styled
+from rhec.style import BLACK, BLUE, COLOURS, COLUMN_IN, GREY, SMALL_PT, VERMILLION, styled
 
 _RUBBER = "#4d4d4d"
 _METAL = "#aab2b9"
@@ -68,7 +68,7 @@ def _beside(axes, text, point, side, **look):
     """Write small text right (1, 0), left (-1, 0), above (0, 1) or below (0, -1) a point."""
     look |= {"ha": ("center", "left", "right")[side[0]], "va": ("center", "bottom", "top")[side[1]]}
     gap = (2.5 * side[0], 2 * side[1])
-    look |= dict(textcoords="offset points", fontsize=7, linespacing=1.05)
+    look |= dict(textcoords="offset points", fontsize=SMALL_PT, linespacing=1.05)
     axes.annotate(text, point, gap, **look)
 
 
@@ -420,5 +420,5 @@ def schematic():
         (0.18, r"longitudinal slip $1-\mu$", BLUE),
         (0.02, r"turning lost: $1-\kappa$", VERMILLION),
     ]:
-        _write(axes, note, (2.14, height), ha="left", fontsize=7, color=colour)
+        _write(axes, note, (2.14, height), ha="left", fontsize=SMALL_PT, color=colour)
     return figure

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.plots import parts
+from notebooks.studies import names
 from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
 from notebooks.studies.tables import interval_text
 from rhec import paper
@@ -47,12 +48,12 @@ _LINES = {
 def _title(run):
     """Process noise, world, turns and seed of a run, for a title."""
     scenario = run.scenario
-    return f"{parts.noise_text(scenario.process_noise)}, {_where(run)}, seed {scenario.seed}"
+    return f"{names.noise_text(scenario.process_noise)}, {_where(run)}, seed {scenario.seed}"
 
 
 def _where(run):
     """The world and the turns of a run, for a title."""
-    return f"{parts.world_text(run.scenario)}, {parts.turns_text(run.scenario.turns)}"
+    return f"{parts.world_text(run.scenario)}, {names.turns_text(run.scenario.turns)}"
 
 
 def _fields(drives):
@@ -65,7 +66,7 @@ def _fields(drives):
 
 def _over(drives):
     """Description of a line and its band, for a title."""
-    noise = parts.noise_text(drives[0].scenario.process_noise)
+    noise = names.noise_text(drives[0].scenario.process_noise)
     return f"{noise}, {_where(drives[0])}: median, middle 90 % of {_fields(drives)}"
 
 
@@ -136,7 +137,7 @@ def trajectories_q(runs, table=None):
     time.set_ylabel("true error [m]")
     order = "" if table is None else f"\n{_order(runs, table)}"
     scenario = first.scenario
-    noise = parts.noise_text(scenario.process_noise)
+    noise = names.noise_text(scenario.process_noise)
     title = f"First row: {noise}, {parts.world_text(scenario)}, seed {scenario.seed}{order}"
     plane.set(xlabel="$x$ [m]", title=title)
     figure.legend(loc="outside lower center", ncols=3)
@@ -222,16 +223,15 @@ def _on_the_map(figure, axes, runs):
         # The RHE is drawn last and narrow, so that both lines show where they agree.
         wide = dict(linewidth=1.8) if name == "EKF" else {}
         axes.plot(log["x_m"], log["y_m"], **_LINES[name] | dict(label=None), **wide)
-    _end_of_lap(axes, first)
-    start = first.log[["x_m", "y_m"]].iloc[0]
-    axes.plot(*start, "o", color=BLACK, markersize=3)
-    parts.note(axes, "start", start, (-5, 0), ha="right")
+    for row, marker in ((first.log.iloc[0], "o"), (first.log.iloc[-1], "s")):
+        axes.plot(row["x_m"], row["y_m"], marker, color=BLACK, markersize=3, zorder=4)
     low = first.log[["x_m", "y_m"]].min() - _MARGIN_M
     high = first.log[["x_m", "y_m"]].max() + _MARGIN_M
     axes.set(xlim=(low.x_m, high.x_m), ylim=(low.y_m, high.y_m))
-    axes.set_title(_title(first))
-    beside = dict(location="left", panchor=(0.0, 0.5), extend="min", fraction=0.03, pad=0.02)
-    figure.colorbar(image, ax=axes, label=r"$\kappa$ [-]", **beside)
+    axes.set_title(f"{_title(first)}\n{_ends(first)}", loc="center")
+    # Equal scales make the map narrower than its place in the grid: the bar stays beside the map.
+    bar = axes.inset_axes((1.03, 0.0, 0.03, 1.0))
+    figure.colorbar(image, cax=bar, label=r"$\kappa$ [-]", extend="min")
 
 
 def _beside_the_path(axes, runs):
@@ -254,7 +254,7 @@ def _beside_the_path(axes, runs):
     axes.set_ylabel("beside the\npath [m]")
     mean_m = lateral_means(runs)
     means = ", ".join(f"{name} {mean_m[name]:+.3f} m".replace("-", "−") for name in mean_m)
-    noise = parts.noise_text(first.scenario.process_noise)
+    noise = names.noise_text(first.scenario.process_noise)
     axes.set_title(f"{noise}: mean after settling {means}; farthest {', '.join(largest)}")
 
 
@@ -274,16 +274,14 @@ def _lateral(run):
     return np.cos(theta) * (position[:, 1] - y) - np.sin(theta) * (position[:, 0] - x)
 
 
-def _end_of_lap(axes, run):
-    """Mark where the drive ends, and say how much of the lap is left."""
+def _ends(run):
+    """Where a drive begins and ends on the map, for a title: no label lies on the path then."""
     end = run.log.iloc[-1]
-    axes.plot(end["x_m"], end["y_m"], "s", color=BLACK, markersize=3)
+    words = f"from the dot to the square in {end['t_s'] + paper.DT_S:.0f} s"
     left_m = run.path.length_m - end["s_m"]
-    words = f"end: {end['t_s'] + paper.DT_S:.0f} s"
     if 0 < left_m < run.path.length_m / 2:
         words += f", {left_m:.0f} m of the lap left"
-    line = dict(arrowstyle="-", linewidth=0.5, shrinkA=0)
-    parts.note(axes, words, (end["x_m"], end["y_m"]), (10, -14), ha="left", arrowprops=line)
+    return words
 
 
 @styled
@@ -306,11 +304,12 @@ def errors(pairs):
     for axes, difference, runs in zip(above, below, pairs.values()):
         for name in ("EKF", "RHE"):
             _one_error(axes, name, runs[name])
+        _beyond(axes, runs)
         axes.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
         means = [f"{name} {runs[name].metrics['mean_error_m']:.4f} m" for name in ("RHE", "EKF")]
         axes.set_ylim(0, _MOST_ERROR_M)
-        noise = parts.noise_text(runs["RHE"].scenario.process_noise)
-        axes.set_title(f"{noise}: mean {', '.join(means)}")
+        noise = names.noise_text(runs["RHE"].scenario.process_noise)
+        axes.set_title(f"{noise}: {', '.join(means)}")
         _difference(difference, runs)
     for axes in (*above[len(pairs) :], *below[len(pairs) :]):
         axes.set_visible(False)
@@ -321,7 +320,8 @@ def errors(pairs):
     first = next(iter(pairs.values()))["RHE"]
     for column in panels.T:
         _time_axis(column, first.log)
-    figure.suptitle(f"One drive: {_where(first)}, seed {first.scenario.seed}", fontsize=8)
+    drive = f"{_where(first)}, seed {first.scenario.seed}"
+    figure.suptitle(f"One drive: {drive}; in the titles its mean errors", fontsize=8)
     parts.legend_outside(figure, panels[0, 0], "lower center", 5)
     return figure
 
@@ -358,31 +358,42 @@ def errors_of_many(drives, table):
         for name in ("EKF", "RHE"):
             _many_errors(many, share, name, by_name[name])
         many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        many.set_title(f"{parts.noise_text(noise)}\n{_means(table, by_name['RHE'][0])}")
+        many.set_title(f"{names.noise_text(noise)}:\n{_means(table, by_name['RHE'][0])}")
         _time_axis(panels, by_name["RHE"][0].log)
         share.set_xlabel("time [s]  (shaded: curves)")
-    rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.02, 10))
+    rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.01, 10))
     rows[0, 0].minorticks_off()
-    rows[0, 0].set_yticks(ticks := [0.03, 0.1, 0.3, 1, 3, 10], [f"{tick:g}" for tick in ticks])
+    ticks = [0.01, 0.03, 0.1, 0.3, 1, 3, 10]
+    rows[0, 0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     rows[1, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
     first = next(iter(drives.values()))["RHE"]
-    figure.suptitle(f"{_fields(first)}, {_where(first[0])}", fontsize=8)
+    n = table.loc[table["turns"] == first[0].scenario.turns, "n"].max()
+    words = f"{_where(first[0])}: curves of {_fields(first)}, in the titles means over {n} fields"
+    figure.suptitle(f"{words[0].upper()}{words[1:]}", fontsize=8)
     parts.legend_outside(figure, rows[0, 0], "lower center", 5)
     return figure
 
 
 def _one_error(axes, name, run):
     """Draw the error of one drive over time; the paper's mean stands in the legend."""
-    error_m = run.log["error_m"]
     label = f"{name} (the paper's mean: {REPORTED[name, 'mean_error_m']} m)"
-    colour = colour_of(run.scenario.estimator)
-    axes.plot(run.log["t_s"], error_m, label=label, linewidth=0.8, color=colour)
-    # The start is off the path by design; an error that leaves the axis later is told.
-    largest_m = error_m[run.log["t_s"] > _START_S].max()
-    if largest_m > _MOST_ERROR_M:
-        at = dict(xycoords="axes fraction", color=colour, ha="right", va="top")
-        at |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
-        parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, 0.97), **at)
+    # The RHE is drawn last and narrow, so that both lines show where they agree.
+    width = {"EKF": 1.3, "RHE": 0.6}[name]
+    look = dict(linewidth=width, color=colour_of(run.scenario.estimator), label=label)
+    axes.plot(run.log["t_s"], run.log["error_m"], **look)
+
+
+def _beyond(axes, runs):
+    """Tell the largest error of each drive that leaves the axis once its start is over."""
+    place = 0.97
+    for name, run in runs.items():
+        largest_m = run.log["error_m"][run.log["t_s"] > _START_S].max()
+        if largest_m > _MOST_ERROR_M:
+            colour = colour_of(run.scenario.estimator)
+            look = dict(xycoords="axes fraction", color=colour, ha="right", va="top")
+            look |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
+            parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, place), **look)
+            place -= 0.17
 
 
 def _many_errors(axes, share, name, drives):
@@ -402,8 +413,7 @@ def _means(table, run):
     means = table[table["quantity"] == "mean error, raw GNSS [m]"]
     means = means[means["turns"] == run.scenario.turns]
     means = means.set_index(["process_noise", "estimator"]).loc[run.scenario.process_noise]
-    both = "\n".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
-    return f"means over {means.loc['RHE', 'n']}:\n{both}"
+    return "\n".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
 
 
 @styled
@@ -434,16 +444,16 @@ def violations(table, turns="alternate", world="default"):
         look = dict(color=BLACK, markerfacecolor="none", markersize=5, clip_on=False)
         axes.plot(100 * row.paper, place, "D", label="the paper", zorder=4, **look)
         count = counts.loc[row.Index]
-        text = f"{interval_text(count['mean'], max(count['low'], 0), count['high'])} a drive"
+        text = interval_text(count["mean"], max(count["low"], 0), count["high"])
         parts.note(axes, text, (1, place), (8, 0), **place_of)
-    labels = [f"{parts.noise_text(noise)}: {name}" for noise, name in shares.index]
+    labels = [f"{names.noise_text(noise)}: {name}" for noise, name in shares.index]
     words = f"drives without a violation [%]: share of {shares['n'].max()} fields, 95 % interval"
     parts.rows_axis(axes, labels, words)
     axes.set_xlim(0, 100)
-    where = f"{world} world, {parts.turns_text(turns)}"
-    axes.set_title(f"{where[0].upper()}{where[1:]}; at the right the mean number of violations")
-    handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles[:1], names[:1], loc="outside lower center")
+    where = f"{world} world, {names.turns_text(turns)}"
+    axes.set_title(f"{where[0].upper()}{where[1:]}; at the right violations in a drive, mean")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles[:1], labels[:1], loc="outside lower center")
     return figure
 
 
@@ -525,11 +535,12 @@ def _one_estimate(panels, run):
         value, sigma, truth, inside = stated_
         look = dict(color=SKY, alpha=0.45, linewidth=0, label="± 2 σ of the RHE")
         axes.fill_between(t_s, value - 2 * sigma, value + 2 * sigma, **look)
+        if name in ("mu", "kappa"):  # before the estimate, which is often at a bound
+            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
         axes.plot(t_s, value, color=COLOURS["RHE"], linewidth=0.8, label="estimate")
         axes.plot(t_s, truth, color=COLOURS["truth"], linewidth=0.8, label="truth")
         title = f"{symbol}: {100 * inside:.0f} % within ± 2 σ"
         if name in ("mu", "kappa"):
-            axes.hlines([0, 1], *t_s.iloc[[0, -1]], label="constraints", **parts.BOUND)
             at_bound = np.mean((value < _NEAR_BOUND) | (value > 1 - _NEAR_BOUND))
             title += f", {100 * at_bound:.0f} % at a bound"
         axes.set_title(title)

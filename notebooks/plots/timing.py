@@ -4,7 +4,18 @@ import matplotlib.pyplot as plt
 
 from notebooks.plots.parts import BOUND, log_axis, note
 from rhec import paper
-from rhec.style import BLACK, BLUE, DOUBLE_IN, GREEN, GREY, ORANGE, SKY, VERMILLION, styled
+from rhec.style import (
+    BLACK,
+    BLUE,
+    DOUBLE_IN,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    SMALL_PT,
+    VERMILLION,
+    styled,
+)
 
 _COLOURS = {
     ("RHE", "preparation"): SKY,
@@ -28,9 +39,9 @@ def _cycle(axes):
             problem, phase = which
             look = dict(color=_COLOURS[which], edgecolor=BLACK, linewidth=0.5)
             axes.barh(problem == "RHC", end - begin, 0.95, k + begin, **look)
-            text = f"{problem}\n{'feedback' if phase == 'feedback' else 'shift, prepare'}"
+            text = f"{problem}\n{'feedback' if phase == 'feedback' else 'prepare'}"
             ink = "w" if _COLOURS[which] in (BLUE, GREEN) else BLACK
-            centre = dict(ha="center", fontsize=6, color=ink, linespacing=0.95)
+            centre = dict(ha="center", color=ink, linespacing=0.95)
             note(axes, text, (k + (begin + end) / 2, problem == "RHC"), **centre)
         arrow = dict(arrowstyle="-|>", color=VERMILLION, shrinkA=0, shrinkB=0)
         index = ("{k-1}", "k")[k]
@@ -43,9 +54,8 @@ def _cycle(axes):
     axes.set(xlim=(-0.02, 2.02), ylim=(2.2, -1.3), yticks=[], xticks=[])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    axes.set_title(
-        f"not to scale: a period lasts {1000 * paper.DT_S:.0f} ms", fontsize=7, loc="right", pad=16
-    )
+    period = f"not to scale: a period lasts {1000 * paper.DT_S:.0f} ms"
+    axes.set_title(period, fontsize=SMALL_PT, loc="right", pad=16)
 
 
 @styled
@@ -108,7 +118,7 @@ def embedded_times(times):
             axes.plot(value, place, "o", linestyle="none", **look)
         note(axes, f"{command_us:.3g} µs, whole step {step_us:.3g} µs", (step_us, place), (6, 0))
     axes.set_yticks(range(len(sources)), [f"{who}\n{machine}" for (machine, who), _ in sources])
-    axes.tick_params(axis="y", labelsize=6.5)
+    axes.tick_params(axis="y", labelsize=SMALL_PT)
     axes.set(ylim=(len(sources) - 0.5, -0.5))
     log_axis(axes.xaxis)
     low, high = axes.get_xlim()

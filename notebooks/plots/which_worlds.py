@@ -4,10 +4,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
-from notebooks.plots.parts import log_axis, note
+from notebooks.plots.parts import legend_outside, log_axis, note, ticks_at_the_ends
 from notebooks.studies import which_worlds
+from notebooks.studies.names import RULES, TURNS, noise_text
 from rhec import paper
-from rhec.style import BLACK, BLUE, COLOURS, DOUBLE_IN, GREEN, GREY, ORANGE, VERMILLION, styled
+from rhec.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    DOUBLE_IN,
+    GREEN,
+    GREY,
+    ORANGE,
+    SMALL_PT,
+    VERMILLION,
+    styled,
+)
 
 _LABELS = {
     "speed_mps": "speed [m/s]",
@@ -35,8 +47,9 @@ _LABELS = {
     "sigma_ekf_m": r"EKF: $\sigma_{xy}$ of $W$ [m]",
     "sigma_ekf_ratio_radpm": r"EKF: $\sigma_\theta / \sigma_{xy}$ [rad/m]",
 }
-_COLUMNS = 5
+_COLUMNS = 4
 _BINS = 12
+_MOST_RATIO = 4.0  # upper end of the axis of the EKF's error over the RHE's
 _LEARNED = 0.15  # an unknown whose interval is narrowed by this much is drawn in colour
 
 
@@ -66,10 +79,13 @@ def posterior(worlds, table):
         axes.axhline(1, color=BLACK, linewidth=0.6, linestyle=":")
         axes.axvline(row["median"], color=ORANGE, linewidth=1)
         if prior.logarithmic:
-            log_axis(axes.xaxis)
+            axes.set(xscale="log")
+            axes.minorticks_off()
+        ticks_at_the_ends(axes, edges[[0, _BINS // 2, _BINS]])
         axes.set_ylim(0, max(2.5, 1.1 * density.max()))
-        axes.set_xlabel(_LABELS[name], labelpad=1, fontsize=7)
-        axes.set_title(f"narrowed by {max(100 * row['narrowed'], 0):.0f} %", fontsize=7)
+        axes.set_xlabel(_LABELS[name], labelpad=1, fontsize=SMALL_PT)
+        axes.set_title(f"narrowed by {max(100 * row['narrowed'], 0):.0f} %", fontsize=SMALL_PT)
+        axes.tick_params(axis="x", labelsize=SMALL_PT)
     for axes in panels.flat[len(table) :]:
         axes.set_visible(False)
     figure.supylabel(f"posterior / prior, {len(worlds)} draws", fontsize=8)
@@ -156,7 +172,7 @@ def order(table):
     """
     rules = [*table["rule for W"].unique()]
     looks = dict(zip(table["turns"].unique(), (BLACK, BLUE, ORANGE, VERMILLION, GREEN)))
-    figure, (shares, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.8), sharey=True)
+    figure, (shares, ratios) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 3.0), sharey=True)
     for k, (turns, colour) in enumerate(looks.items()):
         rows = table[table["turns"] == turns]
         places = np.arange(len(rules)) + 0.15 * (k - 2)
@@ -167,15 +183,22 @@ def order(table):
         ):
             middle = rows[value].to_numpy()
             ends = np.abs(rows[[low, high]].to_numpy().T - middle)
-            label = {"own": "the world's own path"}.get(turns, turns.replace("_", " "))
+            label = "the world's own path" if turns == "own" else TURNS[turns]
             axes.errorbar(middle, places, xerr=ends, label=label, **look)
-    shares.set_yticks(np.arange(len(rules)), rules)
-    shares.set(xlim=(0, 1), ylim=(len(rules) - 0.5, -0.5), xlabel="worlds with the RHE the better")
-    ratios.set(xscale="log", xlim=(0.7, 4), xlabel="error of the EKF / error of the RHE")
+    for place, rule in enumerate(rules):
+        least = table.loc[table["rule for W"] == rule, "EKF / RHE"].min()
+        if least > _MOST_RATIO:
+            note(ratios, f"beyond the axis: {least:.0f} or more", (1.05, place))
+    shares.set_yticks(np.arange(len(rules)), [RULES.get(rule, rule) for rule in rules])
+    shares.set(
+        xlim=(0, 1.02), ylim=(len(rules) - 0.5, -0.5), xlabel="worlds with the RHE the better"
+    )
+    ratios.set(xscale="log", xlim=(0.7, _MOST_RATIO), xlabel="error of the EKF / error of the RHE")
+    ratios.minorticks_off()
     ratios.set_xticks([0.7, 1, 1.5, 2, 3, 4], ["0.7", "1", "1.5", "2", "3", "4"])
     ratios.axvline(1, color=BLACK, linewidth=0.6, linestyle=":")
     shares.axvline(0.5, color=BLACK, linewidth=0.6, linestyle=":")
-    figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
@@ -202,10 +225,10 @@ def effects(table):
             label = {"sign": "of the sign", "ratio": "of ln(EKF / RHE)"}[name]
             look = dict(fmt="o", color=colour, markersize=2.5, elinewidth=0.7, label=label)
             axes.errorbar(middle, places + shift, xerr=ends, **look)
-        axes.set(title=rule, xlim=(-0.05, 1.05), ylim=(len(names) - 0.5, -0.5))
+        axes.set(title=noise_text(rule), xlim=(-0.05, 1.05), ylim=(len(names) - 0.5, -0.5))
         axes.set_xlabel("total effect")
     panels[0].set_yticks(places, [_LABELS.get(name, name.replace("_", " ")) for name in names])
-    panels[-1].legend(loc="lower right", fontsize=6)
+    legend_outside(figure, panels[0], "lower center", 2)
     return figure
 
 
@@ -227,7 +250,8 @@ def calibration(checks, draws):
         n, unknowns = ranks.shape
         half = band(n, unknowns)
         levels = (np.arange(draws + 1) + 1) / (draws + 1)
-        axes.axhspan(-half, half, color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        look = dict(color=COLOURS["tolerance"], alpha=0.5, linewidth=0)
+        band_drawn = axes.axhspan(-half, half, **look)
         off = np.array([np.mean(ranks <= rank, axis=0) for rank in range(draws + 1)])
         off -= levels[:, None]
         outside = np.abs(off).max(axis=0) > half
@@ -235,9 +259,11 @@ def calibration(checks, draws):
         for line, label in zip(off[:, outside].T, np.array(list(_LABELS))[outside]):
             axes.plot(levels, line, linewidth=1, label=_LABELS[label])
         if outside.any():
-            axes.legend(fontsize=6)
+            axes.legend(fontsize=SMALL_PT)
         axes.set(title=f"{name} (n = {n})", xlabel="rank of the truth / draws", xlim=(0, 1))
-    panels[0, 0].set_ylabel("share of truths - uniform")
+    panels[0, 0].set_ylabel("share of truths − uniform")
+    words = "95 % band, for all unknowns together"
+    figure.legend([band_drawn], [words], loc="outside lower center")
     return figure
 
 

@@ -93,6 +93,7 @@ PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
 _NO_YES = ("no", "yes")
+_NOT_OR_ESTIMATED = ("not estimated", "estimated")
 _SPEEDS = ("constant in a window", "measured", "slipping tracks")
 _TURNS = ("to alternate sides", "left", "right", "figure of eight")
 _SOIL_UNDER = ("the middle", "each track")
@@ -119,6 +120,7 @@ _SENSORS = (
 _CONTROLS = (
     _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
     _selection("speed_model", "speed ν", _SPEEDS),
+    _selection("yaw_drift", "yaw drift", _NOT_OR_ESTIMATED),
     _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
     _selection("yaw_drift", "estimate yaw drift", _NO_YES),
     *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),

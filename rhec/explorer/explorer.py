@@ -424,7 +424,7 @@ def _input(control, value):
         kind = widgets.IntSlider
         readout = "d"
     else:
-        readout = f".{max(1, -math.floor(math.log10(control.step) + 1e-9))}f"
+        readout = f".{max(1, _decimals(control.step), _decimals(value))}f"
     # A front end rounds to whole steps from the lowest value, so the initial value must be one.
     low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
     return kind(
@@ -436,6 +436,11 @@ def _input(control, value):
         continuous_update=control.kind != "whole",  # a new integer may need compilation
         **look,
     )
+
+
+def _decimals(number):
+    """How many digits of a number stand after the point, up to six."""
+    return len(f"{number:.6f}".rstrip("0").partition(".")[2])
 
 
 def _look(label, tooltip, width, label_width="initial"):

@@ -15,18 +15,18 @@ FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
 _MOST_POINTS = 300  # largest number of points of the soil along one side
 
-# Lines of a run: panel, columns along x and y, and look.
+# Lines of a run: panel, columns along x and y, look, and what a value of it is besides the run's.
 _SERIES = (
-    ("map", "x_m", "y_m", "bold"),
-    ("error", "t_s", "error_m", "faint"),
-    ("error", "t_s", "error_true_m", "bold"),
-    ("mu", "t_s", "mu", "truth"),
-    ("mu", "t_s", "mu_hat", "bold"),
-    ("kappa", "t_s", "kappa", "truth"),
-    ("kappa", "t_s", "kappa_hat", "bold"),
-    ("yaw_rate", "t_s", "omega_cmd_radps", "bold"),
-    ("kkt", "t_s", "kkt_rhe", "bold"),
-    ("kkt", "t_s", "kkt_rhc", "second"),
+    ("map", "x_m", "y_m", "bold", ""),
+    ("error", "t_s", "error_m", "faint", "by GNSS"),
+    ("error", "t_s", "error_true_m", "bold", ""),
+    ("mu", "t_s", "mu", "truth", ""),
+    ("mu", "t_s", "mu_hat", "bold", ""),
+    ("kappa", "t_s", "kappa", "truth", ""),
+    ("kappa", "t_s", "kappa_hat", "bold", ""),
+    ("yaw_rate", "t_s", "omega_cmd_radps", "bold", ""),
+    ("kkt", "t_s", "kkt_rhe", "bold", ""),
+    ("kkt", "t_s", "kkt_rhc", "second", "RHC"),
 )
 _KKT_SAMPLES = 25  # of the running median: from sample to sample it jumps by powers of ten
 _LOOKS = {
@@ -209,7 +209,7 @@ def _ground(run, soil):
 
 def _series(kind, run, place):
     """Yield (panel, Mark) for each line of a run."""
-    for panel, x, y, look in _SERIES:
+    for panel, x, y, look, note in _SERIES:
         drawn = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
         if kind and look != "bold":
             continue
@@ -217,13 +217,14 @@ def _series(kind, run, place):
             drawn |= dict(dash=(2.5, 1.5), alpha=0.6)
         if look == "truth" and place > 0:
             drawn |= dict(dash=(0.8, 1.2), alpha=0.7)
-        label = kind + name_of(run.scenario) if panel == "map" else ""
-        if (panel, look, place) == ("mu", "truth", 0):
+        label = kind + name_of(run.scenario)
+        if look == "truth":
+            note = f"of {label}" if place else ""
             label = "truth"
         values = run.columns[y]
         if panel == "kkt":
             values = median_filter(values, _KKT_SAMPLES, mode="nearest")
-        yield panel, Mark("line", run.columns[x], values, label=label, **drawn)
+        yield panel, Mark("line", run.columns[x], values, label=label, note=note, **drawn)
 
 
 def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):

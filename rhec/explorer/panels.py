@@ -19,7 +19,9 @@ class Mark(NamedTuple):
     """A "line", the "area" inside a line, "dots", or "soil": traction (n_x, n_y) over a grid.
 
     width: line width or diameter of dots [pt]; dash: lengths of dashes and gaps [pt]; full: False
-    for rings; label: text in the legend. NaN leaves a gap.
+    for rings; label: text in the legend, by which a reader hides marks; note: what else than the
+    label stands beside a value under the pointer, None if its values are not told. NaN leaves a
+    gap.
     """
 
     kind: str
@@ -31,6 +33,7 @@ class Mark(NamedTuple):
     dash: tuple = ()
     full: bool = True
     label: str = ""
+    note: str | None = None
     traction: np.ndarray | None = None
 
 
@@ -56,9 +59,12 @@ class Picture(NamedTuple):
 
     @property
     def legend(self):
-        """The marks with a label, starting with the topmost one."""
+        """The first mark with each label, starting with the topmost one."""
         marks = [mark for panel in self.panels.values() for mark in reversed(panel.marks)]
-        return [mark for mark in marks if mark.label]
+        first = {}
+        for mark in marks:
+            first.setdefault(mark.label, mark)
+        return [mark for label, mark in first.items() if label]
 
 
 @styled
@@ -149,7 +155,7 @@ def _look(mark):
     width = mark.width * _PX
     dash = [_PX * length for length in mark.dash]
     line = dict(kind=mark.kind, colour=colour, width=width, radius=width / 2, dash=dash)
-    return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label)
+    return line | dict(alpha=mark.alpha, full=mark.full, label=mark.label, note=mark.note)
 
 
 def packed(picture):

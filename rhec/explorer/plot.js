@@ -7,7 +7,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     const [right, bottom] = [Math.max(w - 12, left + 1), Math.max(h - 20, top + 1)];
     const dots = devicePixelRatio, size = [w, h].map(side => Math.round(side * dots));
     if (`${size}` !== `${[canvas.width, canvas.height]}`) [canvas.width, canvas.height] = size;
-    const of = log ? Math.log10 : y => y;
+    const of = log ? Math.log10 : y => y, back = log ? y => 10 ** y : y => y;
     let [y0, y1] = [of(low), of(high)];
     let [sx, sy] = [(right - left) / (x1 - x0), (bottom - top) / (y1 - y0)];
     if (equal) {
@@ -15,7 +15,10 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
       [x0, y0] = [(x0 + x1 - (right - left) / sx) / 2, (y0 + y1 - (bottom - top) / sy) / 2];
     }
     this.x = x => left + (x - x0) * sx, this.y = y => bottom - (of(y) - y0) * sy;
-    this.data = event => [x0 + (event.offsetX - left) / sx, y0 + (bottom - event.offsetY) / sy];
+    this.data = ({ offsetX, offsetY }) =>
+      [x0 + (offsetX - left) / sx, back(y0 + (bottom - offsetY) / sy)];
+    // What a pointer needs to know: see view.js. Only lines with a label have values for readers.
+    Object.assign(this, { box: [left, top, right, bottom], lines: [], over_time: Boolean(across) });
     this.colour = name => name.startsWith("--") ? style.getPropertyValue(name) : name;
     this.scale = sx, this.c = c, c.reset(), c.scale(dots, dots);
     Object.assign(c, { font: "11px system-ui, sans-serif", lineJoin: "bevel", lineWidth: 1,
@@ -51,6 +54,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     }
   }
   line(n, x, y, name, look = {}) { // in pieces, because long self-intersecting paths are slow
+    if (look.label) this.lines.push({ n, x, y, label: look.label });
     const c = this.use(name, look), most = look.dash?.length ? n : 32;
     for (let k = 0; k < n; k += most) this.path(Math.min(k + most + 1, n), x, y, k), c.stroke();
   }

@@ -1,13 +1,19 @@
 // The explorer's screen: status, pictures and metrics from the kernel.
 const THEMES = ["data-jp-theme-name", "data-vscode-theme-kind"]; // of the page's body
 
-function entry({ kind, colour, dash, full, label }) { // of the legend
-  const [all, sample] = [0, 1].map(() => document.createElement("span"));
+function entry({ kind, colour, dash, full, label }, hidden, draw) { // of the legend: a click hides
+  const [all, sample] = ["button", "span"].map(tag => document.createElement(tag));
+  const press = () => all.ariaPressed = !hidden.has(label);
+  all.onclick = () => (hidden.delete(label) || hidden.add(label), press(), draw());
+  all.title = "a click hides or shows it", press();
   sample.textContent = kind === "dots" ? full ? "●" : "○" : dash.length ? "╍" : "━";
   sample.style.color = colour.startsWith("--") ? `var(${colour})` : colour;
   all.append(sample, ` ${label}`);
   return all;
 }
+// A mark with what its values are called, if they are told.
+const said = mark =>
+  ({ ...mark, label: mark.note === null ? "" : `${mark.label} ${mark.note}`.trim() });
 function render({ model, el }) {
   const part = (name, tag = "div", within = el) => {
     const made = document.createElement(tag);
@@ -16,7 +22,8 @@ function render({ model, el }) {
   };
   const words = part("words"), status = part("status", "span", words);
   const line = part("line", "span", words), legend = part("legend");
-  const pictures = part("pictures"), table = part("metrics"), canvases = {};
+  const pictures = part("pictures"), table = part("metrics"), canvases = {}, hidden = new Set();
+  const views = new Views(() => draw());
   status.role = "status", line.title = "click to copy";
   line.onclick = () => navigator.clipboard?.writeText(line.innerText);
 
@@ -29,7 +36,7 @@ function render({ model, el }) {
   };
   const arrange = ({ layout, panels, legend: marks }) => {
     if (changes(pictures, layout.map(row => JSON.stringify(row)).join(" "))) {
-      pictures.style.gridTemplateAreas = pictures.of, pictures.replaceChildren();
+      pictures.style.gridTemplateAreas = pictures.of, pictures.replaceChildren(), views.all.clear();
       for (const name in panels) {
         const figure = part("panel", "figure", pictures);
         figure.style.gridArea = name, part("title", "figcaption", figure);
@@ -38,7 +45,8 @@ function render({ model, el }) {
     }
     for (const [name, { title }] of Object.entries(panels)) if (changes(canvases[name], title))
       canvases[name].ariaLabel = canvases[name].previousElementSibling.textContent = title;
-    if (changes(legend, JSON.stringify(marks))) legend.replaceChildren(...marks.map(entry));
+    if (changes(legend, JSON.stringify(marks))) legend.replaceChildren(
+      ...marks.map(mark => entry(mark, hidden, draw)));
   };
   const draw = () => {
     const { panels } = model.get("picture"), bytes = model.get("numbers");
@@ -46,15 +54,17 @@ function render({ model, el }) {
     const numbers = new Float32Array(bytes.buffer.slice(bytes.byteOffset, end));
     const column = ([first, n]) => numbers.subarray(first, first + n);
     for (const [name, { xlim, ylim, scale, across, marks }] of Object.entries(panels)) {
-      const plot = new Plot(canvases[name], xlim, ylim, { [scale]: true, across });
+      const plot = views.plot(canvases[name], xlim, ylim, { [scale]: true, across });
       for (const mark of marks) {
+        if (hidden.has(mark.label)) continue;
         const x = column(mark.x), y = column(mark.y);
         if (mark.kind === "soil") {
           const traction = column(mark.traction), high = y.length;
           plot.soil([x.length, high], [x[0], y[0]], x[1] - x[0], (i, j) => traction[i * high + j]);
-        } else plot[mark.kind](x.length, k => x[k], k => y[k], mark.colour, mark);
+        } else plot[mark.kind](x.length, k => x[k], k => y[k], mark.colour, said(mark));
       }
     }
+    views.point(views.k);
     pictures.dispatchEvent(new Event("drawn", { bubbles: true }));
   };
   const show = () => { write(), arrange(model.get("picture")), draw(); };

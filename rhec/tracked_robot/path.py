@@ -21,7 +21,7 @@ _BESIDE = 0.25  # of a turn's radius: how far the way back of a field passes bes
 OPEN = 1e9  # the "period" of a path that does not close [m]
 LONGEST_M = 1e6  # the random field around a longer path would not fit into memory
 CLOSED = 1e-6  # a path may be called closed if its ends are as near as this [m, rad]
-_SAME_M = 1e-9  # of two points whose distances differ by less, the first one counts as closest
+SAME_M = 1e-9  # of two points whose distances differ by less, the first one counts as closest
 
 
 def advance(x, y, theta, curvature, length, lib):
@@ -198,9 +198,12 @@ class Path:
         for (s, x_0, y_0, theta, c), end in zip(self.segments, ends):
             ahead, left = ahead_and_left(x - x_0, y - y_0, theta, np)
             length = end - s
-            points = _on_arc(ahead, left, c, length) if c else _on_line(ahead, left, length)
+            if c:
+                points = on_arc(ahead, left, c, length, np)
+            else:
+                points = on_line(ahead, left, length, np)
             for distance, place in points:
-                better = distance < best_distance - _SAME_M
+                better = distance < best_distance - SAME_M
                 best_distance = np.where(better, distance, best_distance)
                 best_s = np.where(better, s + place, best_s)
         unknown = np.isnan(xy).any(axis=1)
@@ -267,28 +270,30 @@ _PIECES = {
 }
 
 
-def _on_line(ahead, left, length):
-    """The closest point on a line from offsets (n,) seen along it, as [(distance, place)] [m]."""
-    place = np.fmin(np.fmax(ahead, 0), length)
-    return [(np.sqrt((ahead - place) ** 2 + left**2), place)]
+def on_line(ahead, left, length, lib):
+    """The closest point on a line from offsets (n,) seen along it, as [(distance, place)] [m].
+
+    `lib` is numpy or casadi, as in `advance`.
+    """
+    place = lib.fmin(lib.fmax(ahead, 0), length)
+    return [(lib.sqrt((ahead - place) ** 2 + left**2), place)]
 
 
-def _on_arc(ahead, left, c, length):
+def on_arc(ahead, left, c, length, lib):
     """The candidates for the closest point on an arc of curvature c, as [(distance, place)] [m].
 
     The centre lies 1/c to the left of the beginning. The point is closest where the ray from the
     centre through it meets the circle: at the angle atan2(|c| · ahead, 1 - c · left), in [0, 2π).
-    Beyond the arc its end is a candidate, and so is its beginning, which may be closer.
+    Beyond the arc its end is a candidate, and so is its beginning, which may be closer. `lib` is
+    numpy or casadi, as in `advance`.
     """
-    to_centre = np.sqrt(ahead**2 + (1 / c - left) ** 2)
-    angle = np.arctan2(abs(c) * ahead, 1 - c * left)
-    place = np.where(angle < 0, angle + 2 * pi, angle) / abs(c)
+    where = np.where if lib is np else ca.if_else
+    to_centre = lib.sqrt(ahead**2 + (1 / c - left) ** 2)
+    angle = lib.arctan2(abs(c) * ahead, 1 - c * left)
+    place = where(angle < 0, angle + 2 * pi, angle) / abs(c)
     # |to_centre - 1 / |c||, but not as a difference of numbers that may be large and nearly equal
-    radial = np.fabs(ahead**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
-    x, y, _ = advance(0.0, 0.0, 0.0, c, length, np)
-    to_end = np.sqrt((ahead - x) ** 2 + (left - y) ** 2)
-    to_beginning = np.sqrt(ahead**2 + left**2)
-    return [
-        (np.where(place <= length, radial, to_end), np.fmin(place, length)),
-        (to_beginning, 0.0),
-    ]
+    radial = lib.fabs(ahead**2 + left**2 - 2 * left / c) / (to_centre + 1 / abs(c))
+    x, y, _ = advance(0.0, 0.0, 0.0, c, length, lib)
+    to_end = lib.sqrt((ahead - x) ** 2 + (left - y) ** 2)
+    to_beginning = lib.sqrt(ahead**2 + left**2)
+    return [(where(place <= length, radial, to_end), lib.fmin(place, length)), (to_beginning, 0.0)]

@@ -7,6 +7,7 @@ traction of its own, the robot may turn about a point ahead of its middle, and r
 docs/world.md says which of these a world has, and why.
 """
 
+import functools
 from typing import NamedTuple
 
 import casadi as ca
@@ -80,10 +81,13 @@ def draw_noise(seed, samples, faults=()):
     )
 
 
+@functools.lru_cache(maxsize=4)  # the estimators of a field, and each move of a slider, share it
 def standard_normal(seed, stream, samples, n):
     """Independent standard normal numbers (samples, n) of one of a seed's random streams."""
     bits = np.random.Philox(np.random.SeedSequence((seed, stream)))
-    return np.random.Generator(bits).standard_normal((samples, n))
+    numbers = np.random.Generator(bits).standard_normal((samples, n))
+    numbers.flags.writeable = False
+    return numbers
 
 
 def truth():

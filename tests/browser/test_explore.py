@@ -298,6 +298,99 @@ def test_the_pictures_tell_what_they_are_and_are_readable_in_both_themes(explore
         assert contrast(ink, paper) > 7
 
 
+def middle(page, place):
+    """The middle of the picture at this place, in pixels of the page, and its box."""
+    box = page.locator(".rhec-canvas").nth(place).bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, box
+
+
+def test_a_pointer_shows_the_values_of_one_sample_in_every_picture(explorer):
+    page = explorer.page
+    run = rhec.simulate(rhec.Scenario())
+    for place in range(6):
+        x, y, box = middle(page, place)
+        page.mouse.move(x, y)
+        words = page.locator(".view-words:visible").all_inner_texts()
+        assert len(words) == 6
+        map_, *over_time = words
+        (time_s,) = {float(text.split(" s", 1)[0]) for text in over_time}
+        k = round(time_s / 0.2)
+        row = run.log.iloc[k]
+        x_m, y_m, error_m = (float(f"{row[name]:.3g}") for name in ("x_m", "y_m", "error_true_m"))
+        assert f"RHE {x_m:g}, {y_m:g}" in map_
+        assert any(f"RHE {error_m:g}" in text for text in over_time)
+    page.mouse.move(1, 1)
+    assert not page.locator(".view-words:visible").count()
+
+
+def test_a_box_zooms_a_drag_moves_and_a_double_click_shows_all(explorer):
+    page = explorer.page
+    whole = explorer.picture
+    for place, others in ((0, [0]), (1, [1, 2, 3, 4, 5])):
+        x, y, box = middle(page, place)
+        page.mouse.move(x - 60, y - 30)
+        page.mouse.down()
+        page.mouse.move(x + 60, y + 30, steps=3)
+        page.mouse.up()
+        page.mouse.move(1, 1)
+        zoomed = explorer.picture
+        # Pictures over time have one axis along x; the map has its own.
+        assert [i for i in range(6) if zoomed[i] != whole[i]] == others
+        page.keyboard.down("Shift")
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 20, y, steps=2)
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        page.mouse.move(1, 1)
+        assert explorer.picture[place] != zoomed[place]
+        page.mouse.dblclick(x, y)
+        page.mouse.move(1, 1)
+        assert explorer.picture == whole
+        page.mouse.move(x, y)
+        page.keyboard.down("Control")
+        page.mouse.wheel(0, -200)
+        page.keyboard.up("Control")
+        page.wait_for_function(
+            "([place, before]) => document.querySelectorAll('.rhec-canvas')[place].toDataURL()"
+            " != before",
+            arg=[place, whole[place]],
+        )
+        page.mouse.dblclick(x, y)
+        page.mouse.move(1, 1)
+        assert explorer.picture == whole
+
+
+def test_a_click_on_the_legend_hides_and_shows(explorer):
+    page = explorer.page
+    whole = explorer.picture
+    button = page.locator(".rhec-legend").get_by_role("button", name="EKF")
+    button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    assert all(now != before for now, before in zip(explorer.picture, whole))
+    x, y, _ = middle(page, 1)
+    page.mouse.move(x, y)
+    assert "EKF" not in " ".join(page.locator(".view-words:visible").all_inner_texts()[1:2])
+    button.click()
+    page.mouse.move(1, 1)
+    assert explorer.picture == whole
+
+
+def test_controls_and_numbers_are_on_one_screen(explorer):
+    page = explorer.page
+    page.set_viewport_size({"width": 1440, "height": 900})
+    explorer.quiet()
+    panel = page.locator(".jp-NotebookPanel-notebook").bounding_box()
+    page.evaluate("document.querySelector('.rhec').scrollIntoView()")
+    for part in (".rhec .widget-tab", ".rhec-pictures", ".rhec-table"):
+        box = page.locator(part).first.bounding_box()
+        assert box["y"] >= panel["y"] - 1
+        assert box["y"] + box["height"] <= panel["y"] + panel["height"] + 1, part
+    page.set_viewport_size({"width": 1366, "height": 768})
+    explorer.quiet()
+    page.evaluate("seen.painted = []")
+
+
 def test_a_new_horizon_compiles(explorer):
     explorer.tab("Controller")
     explorer.keys("horizon [intervals]", "ArrowRight", 1)

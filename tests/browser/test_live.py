@@ -203,6 +203,47 @@ def test_a_slider_changes_the_run_and_the_page_says_what_came_of_it(live):
     assert all(now != then for now, then in zip(shown(), before))
 
 
+def test_a_pointer_shows_values_zooms_and_a_click_hides_a_run(live):
+    page = live.open("#b").page
+    (rows, _) = (run["rows"] for run in live.runs())
+    box = page.locator("#error").bounding_box()
+    place = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*place)
+    words = page.locator(".view-words:visible").all_inner_texts()
+    assert len(words) == 5  # all but the robot's own picture
+    (time_s,) = {text.split(" s", 1)[0] for text in words if " s · " in text}
+    x_m = rows[round(float(time_s) / paper.DT_S)][COLUMNS.index("x_m")]
+    assert f"RHE {float(f'{x_m:.3g}'):g}, " in words[0]
+    pictures = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
+    whole = page.evaluate(pictures)
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -200)
+    live.settled()
+    zoomed = page.evaluate(pictures)
+    same = [now == then for now, then in zip(zoomed, whole)]
+    assert same == [True, True, False, False, False, False]
+    page.mouse.wheel(0, 600)
+    page.keyboard.up("Control")
+    live.settled()
+    assert page.evaluate(pictures) == whole
+    page.locator("#metrics button", has_text="EKF").click()
+    live.settled()
+    page.mouse.move(*place)
+    assert "EKF" not in " ".join(page.locator(".view-words:visible").all_inner_texts())
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_sliders_and_numbers_are_on_one_screen(live, scene):
+    page = live.page
+    page.set_viewport_size({"width": 1440, "height": 900})
+    live.open(f"#{scene}")
+    page.locator("#controls").scroll_into_view_if_needed()
+    page.evaluate("document.getElementById('controls').scrollIntoView()")
+    for part in ("#sliders input[type=range]", "#pictures", "#metrics"):
+        box = page.locator(part).first.bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= 900, part
+
+
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("scene", SCENES)
 def test_given_its_noise_and_soil_a_run_equals_python(live, scene):

@@ -83,7 +83,28 @@ def test_no_page_shows_a_path_a_warning_or_a_formula_as_text(soups):
         )
         assert not soup.select(".stderr"), name
         assert not any("\\" in formula.get_text() for formula in soup.select("math")), name
-        assert all(picture.get("alt") for picture in soup.select("article img")), name
+        alternatives = [picture.get("alt") for picture in soup.select("article img")]
+        assert all(alternatives), name
+        # A formula is read aloud by its letters, not as "backslash hat".
+        assert not any(re.search(r"[\\$]|mathrm|\bhat\w", text) for text in alternatives), name
+        tables_as_text = [each for each in soup.select("p") if each.get_text().startswith("| ")]
+        assert not tables_as_text, name
+
+
+def test_no_file_names_the_machine_that_built_it():
+    places = [str(ROOT).encode(), str(Path.home()).encode() + b"/"]
+    for file in REPORT.rglob("*"):
+        if file.suffix in (".html", ".js", ".css", ".txt", ".csv", ".svg"):
+            content = file.read_bytes()
+            assert not any(place in content for place in places), file
+
+
+def test_the_menu_has_three_groups_of_few_pages(soups):
+    menu = soups["index.html"].select_one(".sidebar-tree:has(.toctree-l1)")
+    titles = [caption.get_text(strip=True) for caption in menu.select(".caption")]
+    assert titles == ["Check it", "Move it", "Use it"]
+    groups = menu.find_all("ul", recursive=False)
+    assert all(1 < len(group.find_all("li", recursive=False)) < 8 for group in groups)
 
 
 def test_the_pages_say_what_they_are_for(soups):
@@ -129,6 +150,9 @@ def test_a_page_shows_all_it_has(offline, name):
             f"wider than {width} pixels"
         )
     assert page.locator("h1").first.bounding_box()["y"] < 200  # on a phone, too
+    # There, text beside a picture would have room for a few letters alone.
+    floats = "images => images.map(image => getComputedStyle(image).float)"
+    assert {*page.eval_on_selector_all("article img", floats)} <= {"none"}
 
 
 def test_all_pages_are_reached_from_the_first_by_links(offline):

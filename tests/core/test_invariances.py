@@ -121,30 +121,38 @@ def test_estimates_follow(virtual_machine, estimator, change):
     assert off < 1e-6
 
 
-UNICYCLE = rhec.Model(
-    states=("x", "y", "yaw"),
-    inputs=("v", "turn"),
-    f=lambda x, u, p: [u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1]],
-)
+def unicycle(angle=1.0):
+    """A unicycle in units of 1/angle radians; those of lengths do not count."""
+    return rhec.Model(
+        states=("x", "y", "yaw"),
+        inputs=("v", "turn"),
+        f=lambda x, u, p: [u[0] * ca.cos(x[2] / angle), u[0] * ca.sin(x[2] / angle), u[1]],
+    )
+
+
 GOAL = dict(x=np.array([0, 0, 0.3]), x_ref=np.array([2.0, 1, 0]), scale=1.0, more={})
+GOAL |= dict(length=1.0, angle=1.0)
 
 
 def commands(world, bounds):
-    """Commands (n, 2) of a robot that drives to a goal."""
-    bounds = {"v": (0, 1), "turn": (-1, 1)} | bounds(world) | world["more"]
+    """Commands (n, 2) of a robot that drives to a goal, in metres and radians per second."""
+    length, angle = world["length"], world["angle"]
+    units = np.array([length, length, angle])
+    of_inputs = np.array([length, angle])
+    bounds = {"v": (0, length), "turn": (-angle, angle)} | bounds(world) | world["more"]
     rhc = rhec.RHC(
-        model=UNICYCLE,
+        model=unicycle(angle),
         dt=DT_S,
         horizon=12,
         command=("v", "turn"),
         bounds=bounds,
-        q=np.array((1, 1, 0.1)) * world["scale"],
-        r=np.array((0.1, 0.1)) * world["scale"],
+        q=np.array((1, 1, 0.1)) * world["scale"] / units**2,
+        r=np.array((0.1, 0.1)) * world["scale"] / of_inputs**2,
     )
     x = world["x"]
     found = []
     for _ in range(15):
-        u = np.ravel(rhc.step(x=x, p=(), x_ref=world["x_ref"], u_ref=(0.0, 0.0)))
+        u = np.ravel(rhc.step(x=x * units, x_ref=world["x_ref"] * units)) / of_inputs
         found.append(u)
         x = x + DT_S * np.array([u[0] * np.cos(x[2]), u[0] * np.sin(x[2]), u[1]])
     return np.array(found)
@@ -154,7 +162,8 @@ def _lane(world):
     """A bound of a state, the same for the robot wherever it is."""
     side = world.get("side", 1)
     lower, upper = sorted((-9.0 * side, 0.6 * side))
-    return {"y": (lower + world.get("north", 0.0), upper + world.get("north", 0.0))}
+    north = world.get("north", 0.0)
+    return {"y": ((lower + north) * world["length"], (upper + north) * world["length"])}
 
 
 def _moved_goal(world):
@@ -170,6 +179,9 @@ def _mirrored_goal(world):
 PLANNED = {
     "mirrored": Change(_mirrored_goal, lambda found: found * [1, -1]),
     "moved": Change(_moved_goal, _same),
+    "in mm": Change(lambda w: w | dict(length=1e3), _same),
+    "in km": Change(lambda w: w | dict(length=1e-3), _same),
+    "in degrees": Change(lambda w: w | dict(angle=180 / np.pi), _same),
     "cost times 1e3": Change(lambda w: w | dict(scale=1e3), _same),
     "cost times 1e-6": Change(lambda w: w | dict(scale=1e-6), _same),
     "a redundant bound": Change(lambda w: w | dict(more={"yaw": (-50.0, 50.0)}), _same),

@@ -1,5 +1,8 @@
 """What a Model may leave out, and what is then the default."""
 
+import math
+
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -82,3 +85,28 @@ def test_an_infinite_bound_is_none(virtual_machine, bounds):
         assert estimator.kkt >= 0
         estimates.append([*estimate.x, *estimate.p])
     np.testing.assert_allclose(*estimates, rtol=1e-9)
+
+
+@pytest.mark.parametrize("still", [0, 0.0, np.float64(0), np.zeros(1), ca.DM(0)])
+def test_an_entry_of_f_may_be_a_number(still):
+    """A state that does not change by itself, whatever its slope is made of."""
+    model = rhec.Model(states=("x", "y"), inputs="v", f=lambda x, u, p: [u[0], still])
+    np.testing.assert_allclose(model.simulate((1, 2), [[3.0]] * 2, dt=0.1)[-1], (1.6, 2))
+    at_rest = rhec.Model(states=("x", "y"), f=lambda x, u, p: [still, still])
+    np.testing.assert_array_equal(at_rest.simulate((1, 2), np.zeros((3, 0)), dt=0.1)[-1], (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("slope", "helps"),
+    [
+        (lambda x: math.sin(x), "ca.sin"),
+        (lambda x: x if x > 0 else -x, "ca.if_else"),
+        (lambda x: x * (x > 0 and x < 1), "ca.logic_and"),
+        (lambda x: max(x, 0), "ca.fmax"),
+        (lambda x: None, "one expression or a list"),
+    ],
+)
+def test_what_python_cannot_do_with_symbols_is_refused_with_what_helps(slope, helps):
+    with pytest.raises(ValueError, match=helps) as refusal:
+        rhec.Model(states="x", f=lambda x, u, p: slope(x[0]))
+    assert "casadi" not in str(refusal.value) and "\n" not in str(refusal.value)

@@ -234,3 +234,12 @@ def test_without_prepare_feedback_is_refused():
         each.feedback(**given)
         with pytest.raises(RuntimeError, match=r"prepare\(\) must be called before each feedback"):
             each.feedback(**given)
+
+
+@pytest.mark.parametrize("bound", [(1.0, 1.0), [0, 0]])
+def test_equal_bounds_are_refused_with_what_does_their_work(bound):
+    for options in (dict(bounds=BOUNDS | {"x_m": bound}), dict(terminal_bounds={"x_m": bound})):
+        with pytest.raises(ValueError, match="leave it out of `command`.*a large weight"):
+            controller(ROBOT, **options)
+    with pytest.raises(ValueError, match="leave it out of `command`.*a large weight"):
+        rhec.Bound(*bound)

@@ -1,5 +1,6 @@
 """Receding horizon control: eq. (NMPC), one Gauss-Newton iteration a sample, or iterated."""
 
+import casadi as ca
 import numpy as np
 import published_problems
 import pytest
@@ -146,3 +147,41 @@ def test_without_a_reference_of_inputs_the_last_plan_goes_on():
     rhc.prepare()
     rhc.feedback(**CAR)
     assert rhc.ok and np.isfinite(rhc.u_plan).all()
+
+
+def headed(**options):
+    """An RHC of a unicycle that names its heading."""
+    model = rhec.Model(
+        states=("x", "y", "yaw"), inputs=("v", "turn"), heading="yaw",
+        f=lambda x, u, p: [u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1]],
+    )  # fmt: skip
+    weights = dict(q=(1.0, 1.0, 0.5), r=(0.1, 0.1), dt=0.2, horizon=8)
+    return rhec.RHC(model=model, bounds={"v": (-1, 1), "turn": (-1, 1)} | options, **weights)
+
+
+@pytest.mark.parametrize("bounds", [{}, {"y": (-9.0, 9.0)}], ids=["commands", "also a state"])
+def test_headings_count_up_to_full_turns(virtual_machine, bounds):
+    """A robot whose estimate and references jump by full turns gets the commands of one whose
+    headings go on: it turns through the half turn at which they wrap, the short way round.
+    """
+    wrapped, going_on = headed(**bounds), headed(**bounds)
+    rng = np.random.default_rng(3)
+    x = np.array([0.0, 0.0, 2.6])
+    for k in range(15):
+        x_ref = np.vstack([0.1 * np.arange(9), np.zeros(9), 2.8 + 0.1 * (k + np.arange(9))])
+        turns = 2 * np.pi * rng.integers(-2, 3, 10)
+        seen = wrapped.step(x + [0, 0, turns[9]], x_ref=x_ref + np.outer([0, 0, 1], turns[:9]))
+        commands = going_on.step(x, x_ref=x_ref)
+        np.testing.assert_allclose(seen, commands, rtol=0, atol=1e-9)
+        x = x + 0.2 * np.array(
+            [commands[0] * np.cos(x[2]), commands[0] * np.sin(x[2]), commands[1]]
+        )
+    assert x[2] > np.pi
+
+
+def test_after_a_restart_it_is_as_new(virtual_machine):
+    """Also its references, where none are given."""
+    used, new = headed(), headed()
+    used.step((0, 0, 0), x_ref=(3.0, 1.0, 0.5))
+    used.restart()
+    np.testing.assert_array_equal(used.step((1, 1, 0.3)), new.step((1, 1, 0.3)))

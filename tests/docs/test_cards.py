@@ -97,6 +97,20 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
         assert len(drawn["ticks"]) > 1, row["id"]
 
 
+def test_a_lost_rival_far_away_leaves_the_others_apart():
+    """Our number and the paper's are as far apart as on a card without that rival."""
+    row = next(row for row in DRAWN if row["id"] == "B5")
+    alone = cards.interval(row | dict(other_n=0, other_value=""))
+    for far, side in ((-1e3, -1), (1e3, 1)):
+        drawn = cards.interval(row | dict(other_n=9, other_value=far, other_low="", other_high=""))
+        assert drawn | dict(beyond=None, words="") == alone | dict(words="")
+        _, edge, to, number = drawn["beyond"]
+        assert to == side and abs(edge - 180) > 160 and float(number) == far
+        assert str(int(far)) in drawn["words"]
+    near = cards.interval(row | dict(other_n=9, other_value=0.0, other_low="", other_high=""))
+    assert near["beyond"] is None and len(near["rows"]) == 2
+
+
 def test_text_of_the_ledger_stays_text():
     claims = CLAIMS_CSV.assign(claim="<script>alert(1)</script>", why='"><img src=x>')
     soup, all_cards = parsed(claims=claims)

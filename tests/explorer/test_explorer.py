@@ -147,7 +147,8 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
     assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
 
 
-def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_which_needs_none():
+def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it():
+    """The oracle does not need them, but drives the same robot."""
     values = controls.values_of(SHORT)
     dead = (rhec.Fault(kind="dead", channel="gyro"),)
     values |= dict(sensors=("gyro",), faults=dead)
@@ -176,6 +177,19 @@ def test_the_explorer_offers_every_estimator_it_can_draw(made):
 def test_widgets_begin_at_the_start_scenario(start):
     start = replace(start, duration_s=20.0)
     assert rhec.Explorer(start, None).scenarios == [start]
+
+
+def test_a_slider_shows_all_digits_of_its_value():
+    start = rhec.Scenario()
+    shown = rhec.Explorer(replace(start, duration_s=20.0), against=None).inputs
+    for key in ("mu_mean", "mu_deviation", "kappa_mean", "kappa_deviation", "slip_difference"):
+        text = format(getattr(start, key), shown[key].readout_format)
+        assert float(text) == getattr(start, key), key
+
+
+def test_the_yaw_drift_is_estimated_where_it_can_be(made):
+    made.inputs["yaw_drift"].value = True
+    assert [run.scenario.yaw_drift for run in made.runs] == [True, False]
 
 
 def test_slider_steps_include_the_start_value():
@@ -266,7 +280,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     made.inputs["r"].value = 20.0
     (_, *series), panels = field_run._SERIES, drawn(made)
     for run in (*made.runs, *made.pinned):
-        for panel, x, y, look in series:
+        for panel, x, y, look, _ in series:
             if run in made.runs or look == "bold":
                 values = running_median(run.columns[y]) if panel == "kkt" else run.columns[y]
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)

@@ -13,8 +13,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import NOTEBOOKS
+from text_boxes import sizes_in_print
 
 from notebooks import run
+from rhec.style import SMALL_PT
 
 ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "build/smoke"
@@ -84,6 +86,8 @@ def test_a_small_run_says_what_the_full_one_does(name, monkeypatch):
         if "image/png" in output.get("data", {})
     ]
     assert all(picture["alt"] for picture in pictures)
+    for pdf in FIGURES.glob("*.pdf"):
+        assert min(sizes_in_print(pdf)) >= SMALL_PT, pdf.name
     for table in small.tables:
         check(table)
 

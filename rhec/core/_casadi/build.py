@@ -48,21 +48,21 @@ def _argument(name, shape, symbols, inputs):
     return inputs[name]
 
 
-def short_cut(flag):
-    """Decorator: an SX Function that skips what does not count where its input `flag` is 1.
+def short_cut(flag, symbols=ca.SX):
+    """Decorator: a Function of these symbols that skips what does not count where `flag` is 1.
 
-    It becomes a branch between the Function with flag = 1 and the whole Function. On the virtual
-    machine and as MX, the Function remains as it is.
+    The flag is one of its inputs. It becomes a branch between the Function with flag = 1 and the
+    whole one. On the virtual machine, and of other symbols, the Function remains as it is.
     """
 
     def decorate(whole):
-        if loop_symbols() is ca.SX or not whole.is_a("SXFunction"):
+        if loop_symbols() is ca.SX or whole.is_a("SXFunction") != (symbols is ca.SX):
             return whole
         place = whole.index_in(flag)
         names = whole.name_in(), whole.name_out()
-        symbols = whole.sx_in()
-        results = whole.call([*symbols[:place], ca.SX(1), *symbols[place + 1 :]])
-        short = ca.Function(f"{whole.name()}_short", symbols, results, *names, OPTIONS[ca.SX])
+        inputs = whole.sx_in() if symbols is ca.SX else whole.mx_in()
+        results = whole.call([*inputs[:place], symbols(1), *inputs[place + 1 :]], True, False)
+        short = ca.Function(f"{whole.name()}_short", inputs, results, *names, OPTIONS[symbols])
         either = ca.Function.if_else(f"{whole.name()}_or_not", short, whole)
         inputs = whole.mx_in()
         outputs = either.call([inputs[place], *inputs])

@@ -13,6 +13,30 @@ import casadi as ca
 _COPY = """  if (y && x) memcpy(y, x, n*sizeof(casadi_real));
   else if (y) memset(y, 0, n*sizeof(casadi_real));"""
 
+# From so many states on, Functions call what they share instead of having it inline, and matrices
+# are loops: as scalars they would fill the compiler's time and the processor's cache.
+LARGE = 10
+
+# The product of dense matrices, z + x y: the compiler makes a vector of four sums. Each sum has the
+# order of CasADi's, which waits for one number after the other.
+_PRODUCT = """    for (j=0; j<ncol_y; ++j, y+=ncol_x, z+=nrow_x) {
+      for (i=0; i+4<=nrow_x; i+=4) {
+        const casadi_real *c=x+i;
+        casadi_real z0=z[i], z1=z[i+1], z2=z[i+2], z3=z[i+3];
+        for (k=0; k<ncol_x; ++k, c+=nrow_x) {
+          z0 += c[0]*y[k];
+          z1 += c[1]*y[k];
+          z2 += c[2]*y[k];
+          z3 += c[3]*y[k];
+        }
+        z[i]=z0;
+        z[i+1]=z1;
+        z[i+2]=z2;
+        z[i+3]=z3;
+      }
+      for (; i<nrow_x; ++i) for (k=0; k<ncol_x; ++k) z[i] += x[i+k*nrow_x]*y[k];
+    }"""
+
 # A call in the code: the lines that say which results the caller takes, and the called Function.
 _CALL = re.compile(r"(?m)^((?: *res1\[.*\n)*).*\b(casadi_f\d+)\(arg1, res1,")
 
@@ -28,6 +52,10 @@ def generate_c(functions, file_name, **options):
         generator.add(function)
     text = "#include <string.h>\n" + generator.dump()
     text = re.sub(r"(void casadi_copy\(.*\{\n)(?:.*\n)*?(?=\}\n)", rf"\1{_COPY}\n", text)
+    rows = re.findall(r"casadi_mtimes_dense\([^,]+, (\d+),", text)
+    if max(map(int, rows), default=0) >= LARGE:
+        head = r"(void casadi_mtimes_dense\((?:.*\n)*?  \} else \{\n)"
+        text = re.sub(rf"{head}(?:.*\n)*?(?=  \}}\n\}}\n)", rf"\1{_PRODUCT}\n", text)
     text = _without_checks(text)
     for f in functions:
         missing = [f"!arg[{i}]" for i in range(f.n_in()) if f.nnz_in(i)]

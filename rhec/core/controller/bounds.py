@@ -17,6 +17,16 @@ def _is_number(value):
     return isinstance(value, Real) and not isinstance(value, bool) and not np.isnan(value)
 
 
+def _recipe(lowest, highest):
+    """What does the work of equal bounds."""
+    if not _is_number(lowest) or lowest != highest:
+        return ""
+    return (
+        "; to hold an input, leave it out of `command` and let it follow `u_ref`; to hold a state "
+        "or an output, give it a reference and a large weight"
+    )
+
+
 @dataclass(frozen=True)
 class Bound:
     """Lowest and highest value of a quantity of a rhec.RHC, hard or soft.
@@ -43,9 +53,8 @@ class Bound:
     def __post_init__(self) -> None:
         if not all(map(_is_number, (self.lowest, self.highest))) or not self.lowest < self.highest:
             pair = (self.lowest, self.highest)
-            refuse(
-                "the bounds were", pair, "they should be two numbers, the first below the second"
-            )
+            expected = "they should be two numbers, the first below the second"
+            refuse("the bounds were", pair, expected + _recipe(*pair))
         for name in ("linear", "quadratic"):
             price = getattr(self, name)
             if price is not None and not (_is_number(price) and 0 <= price < MAX_QP_ENTRY):
@@ -101,4 +110,5 @@ def _bound_of(field, name, bound):
         lowest, highest = bound
         return Bound(lowest, highest)
     except (TypeError, ValueError):
-        raise ValueError(f"{field} of {name!r} were {shown(bound)}; {_PAIR}") from None
+        recipe = _recipe(*bound) if np.shape(bound) == (2,) else ""
+        raise ValueError(f"{field} of {name!r} were {shown(bound)}; {_PAIR}{recipe}") from None

@@ -135,7 +135,8 @@ class RHC(RealTimeLoop):
     def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
 
-        Without a plan it starts from a robot that stays where it is, with no inputs.
+        Without a plan it starts from a robot that stays where it is, with no inputs. References are
+        0 until they are given again.
 
         Args:
             u_plan: (n_u, N) or (n_u,) planned inputs. Commands beyond a bound begin at it, and
@@ -150,6 +151,9 @@ class RHC(RealTimeLoop):
         before = self._commands_before(u_before)
         self._initial = checked_plan(self.stages, u_plan, x_plan)
         self._before = before
+        for name in ("x_ref", "y_ref"):
+            if name in self._inputs:
+                self._inputs[name][:] = 0
         self.iteration.restart()
 
     def update(self, **changes: Any) -> None:
@@ -289,10 +293,40 @@ class RHC(RealTimeLoop):
             if array.ndim == 2 and np.shape(value) in ((), array.shape[:1]):
                 given[name] = np.broadcast_to(np.reshape(value, (-1, 1)), array.shape)
         self._set_inputs(**given)
+        if self.stages.model.heading is not None:
+            self._take_up_to_turns()
         if before is not None:
             is_number = np.abs(before) <= MAX_PLAUSIBLE_STATE
             np.copyto(self.iteration.current["before"], before, where=is_number)
             self._before = None
+
+    def _take_up_to_turns(self):
+        """Add full turns to the heading and its references, so that they follow on each other.
+
+        The heading is then near the plan's, its first reference near it, and each of the others
+        near the one before.
+        """
+        place = self.stages.model.states.index(self.stages.model.heading)
+        x = self._inputs["x"]
+        planned = self.iteration.current["s"][place]  # of node 0
+        x[place] += 2 * np.pi * np.round((planned - x[place]) / (2 * np.pi))
+        wanted = self._inputs["x_ref"][place]
+        wanted[:] = np.unwrap([x[place], *wanted])[1:]
+
+    def _set_inputs(self, **values):
+        try:
+            super()._set_inputs(**values)
+        except ValueError as error:
+            if not any(self._has_other_horizon(*each) for each in values.items()):
+                raise
+            hint = f"the controller's horizon is {self.horizon}, and a PathTracker's must be, too"
+            raise ValueError(f"{error}; {hint}") from None
+
+    def _has_other_horizon(self, name, value):
+        """Whether a reference has a row for each quantity, but another number of columns."""
+        rows, *columns = np.shape(value) or (0,)
+        wanted = self._inputs[name].shape
+        return len(wanted) == 2 and rows == wanted[0] and columns not in ([], [wanted[1]])
 
     def _commands_before(self, u_before):
         """The commands (n_c,) among the inputs (n_u,) that were applied before, or None."""

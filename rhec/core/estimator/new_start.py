@@ -15,7 +15,6 @@ does not settle.
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, short_cut
-from rhec.core.estimator import kalman
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 
 _MAX_VARIANCE = MAX_PLAUSIBLE_STATE / 2  # in the direction of an output
@@ -39,8 +38,8 @@ def build(window, outputs, where, after):
     if window.doubts_model:
         shapes |= dict(restart=(1, 1), m_alone=(interval.n_s, 1), W=(interval.n_s, 1))
 
-    @short_cut("goes_on")
-    @casadi_function("restarted", ca.SX, **shapes)
+    @short_cut("goes_on", window.symbols)
+    @casadi_function("restarted", window.symbols, **shapes)
     def restarted(goes_on, B_N, v_N, m_N, P_N, s_restart, m_0, P_0, z_used, **values):
         memory = {name: values[name] for name in window.pieces._fields}
         noise = {name: values[name] for name in window.noise}
@@ -54,14 +53,14 @@ def build(window, outputs, where, after):
             m = ca.if_else(values["restart"], m, values["m_alone"])
             P = ca.if_else(values["restart"], P, P_N + ca.diag(added))
         m, P = window.predict_input(B_N, m, P, v_N, z_used, **noise)
-        s = kalman.update(m, P, z_used, noise["V"], interval.outputs, s_N).m
+        s = window.updated(m, P, v_N, z_used, s_N, **noise).m
         for place, (lower, upper) in interval.bounds.items():
             s[place] = ca.fmin(ca.fmax(s[place], lower), upper)
         N = window.N
         fresh = memory | dict(
             s=ca.repmat(s, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.SX.nan(z_used.numel(), N), z_used),
+            z=ca.horzcat(ca.DM.nan(z_used.numel(), N), z_used),
             age=0,
             m=m,
             P=P,
@@ -74,7 +73,7 @@ def build(window, outputs, where, after):
 def innovation(outputs, z, m, s_bar):
     """y (n_y,) of these outputs, given their prediction by m (n_s,); 0 where none was measured."""
     rows = [ca.if_else(each.is_valid(z), each.residual(z, m, s_bar), 0) for each in outputs]
-    return ca.vertcat(ca.SX(0, 1), *rows)
+    return ca.vertcat(ca.DM(0, 1), *rows)
 
 
 def anew(window, outputs, s_N, P, y, m_0, P_0):
@@ -89,8 +88,8 @@ def anew(window, outputs, s_N, P, y, m_0, P_0):
         m_0: (n_s,) first guess.
         P_0: (n_s,) its variances.
     """
-    m = ca.SX(s_N)
-    P = ca.SX(ca.densify(ca.if_else(is_plausible(P), P, 0)))
+    m = type(s_N)(s_N)
+    P = type(P)(ca.densify(ca.if_else(is_plausible(P), P, 0)))
     for name, bounds in window.model.parameters.items():
         if bounds:
             place = window.model.joint_names.index(name)
@@ -103,7 +102,7 @@ def anew(window, outputs, s_N, P, y, m_0, P_0):
 
 def _moves(outputs, s_bar, y):
     """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
-    columns = [ca.SX(s_bar.numel(), 0)]
+    columns = [ca.DM(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
         H = output.H(s_bar)
         columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))

@@ -24,7 +24,6 @@ import casadi as ca
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.model import robot_model
 from rhec.core.model.limits import is_plausible
-from rhec.core.solver.gauss_newton import symmetric
 
 BEFORE = ("m_M", "P_M")  # of the filter at the node before
 PIECES = ("s_N", "v_N", "B_N", "m_N", "P_N")  # of a prediction; the end F and slopes D besides
@@ -76,7 +75,7 @@ def _build_interval(window):
     interval = window.interval
     s, P, _, z, *_ = window.shapes
 
-    @casadi_function("rhe_newest_interval")
+    @casadi_function("rhe_newest_interval", window.symbols)
     def again(
         prepared: pieces_of(window),
         m_M: s,
@@ -89,9 +88,8 @@ def _build_interval(window):
     ):
         v_m, _ = interval.input_noise(z_N, prepared["v_N"], **noise)
         F, D, B = interval.linearised(s_M, v_m, window.dt_s * (age >= 1))
-        A = interval.A_0 + D
-        m = F + A @ (m_M - s_M)
-        P = ca.densify(symmetric(A @ P_M @ A.T))
+        m, P = window.propagated(F, D, m_M, P_M, s_M)
+        P = ca.densify(P)
         new = dict(s_N=F, v_N=v_m, B_N=B, m_N=m, P_N=P, F_newest=F, D_newest=D)
         is_new = is_plausible(ca.veccat(F, D, B, m, P)) * (iteration < 2)
         return {name: ca.if_else(is_new, new[name], prepared[name]) for name in prepared}

@@ -25,6 +25,7 @@ import numpy as np
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
 from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
+from rhec.core._casadi.c_text import LARGE
 from rhec.core.estimator import kalman, newest_interval, window_bounds, window_noise
 from rhec.core.estimator.estimate import (
     joint_estimate,
@@ -54,6 +55,7 @@ from rhec.core.solver.rti import (
 )
 
 ArrivalMean = Literal["filtered", "smoothed"]  # interpretation G7; see RHE
+LOOPS = 20  # products of fewer states are faster without the zeros of their slopes
 UNKNOWNS = ("s", "v")  # pieces of the memory that an iteration improves
 
 # Records that the phases pass on. Their entries are expressions, or the shapes of these; a name
@@ -145,7 +147,12 @@ class Window(NamedTuple):
     @property
     def symbols(self):
         """SX, or MX for Functions with matrices so large that loops are better than scalars."""
-        return ca.SX
+        return ca.MX if self.interval.n_s >= LARGE else ca.SX
+
+    @property
+    def loop_symbols(self):
+        """The symbols for Functions that repeat another Function."""
+        return ca.MX if self.symbols is ca.MX else compiled.loop_symbols()
 
     @property
     def noise(self):
@@ -186,6 +193,57 @@ class Window(NamedTuple):
         v_m, R_v = self.interval.input_noise(z, v, **noise)
         return m + B @ (v_m - v), gauss_newton.symmetric(P + B @ ca.diag(R_v) @ B.T)
 
+    def corrected(self, B, m, P, v, z, s_bar, **noise):
+        """A node's prediction after its sample z: `predict_input`, then `kalman.update`."""
+        if isinstance(P, ca.MX):
+            values = _build_corrected(self)(B, m, P, v, z, s_bar, *noise.values())
+            return kalman.Update(*values)
+        m, P = self.predict_input(B, m, P, v, z, **noise)
+        return kalman.update(m, P, z, noise["V"], self.interval.outputs, s_bar)
+
+    def updated(self, m, P, v, z, s_bar, **noise):
+        """A node after its sample z, whose inputs v are known: `kalman.update`."""
+        if isinstance(P, ca.MX):
+            no_slopes = ca.DM(self.interval.sparsities["B"], 0)
+            return self.corrected(no_slopes, m, P, v, z, s_bar, **noise)
+        return kalman.update(m, P, z, noise["V"], self.interval.outputs, s_bar)
+
+    def propagated(self, F, D, m, P, s_bar, added=0):
+        """Mean F + A (m - s̄) and covariance A P A' + added after an interval with A = A_0 + D."""
+        if isinstance(P, ca.MX) and self.interval.n_s < LOOPS:
+            m, P = _build_propagated(self)(F, D, m, P, s_bar)
+            return m, P + added
+        A = self.interval.A_0 + D
+        return F + A @ (m - s_bar), gauss_newton.propagated(A, P, added)
+
+
+# Functions of MX call what those of SX have inline. They share it if it is the same Function.
+
+
+@functools.cache
+def _build_corrected(window):
+    s, P, v, z, *_ = window.shapes
+    B = window.interval.sparsities["B"]
+
+    @casadi_function("rhe_corrected")
+    def corrected(B: B, m: s, P: P, v: v, z: z, s_bar: s, noise: window.noise):
+        return window.corrected(B, m, P, v, z, s_bar, **noise)
+
+    return corrected
+
+
+@functools.cache
+def _build_propagated(window):
+    s, P, *_ = window.shapes
+    F, D, _ = window.interval.sparsities.values()
+
+    @casadi_function("rhe_propagated")
+    def propagated(F: F, D: D, m: s, P: P, s_bar: s):
+        m, P = window.propagated(F, D, m, P, s_bar)
+        return dict(m=m, P=ca.densify(P))
+
+    return propagated
+
 
 # A loop needs its shapes each time it is set up, and its judge takes most of that time.
 @functools.cache
@@ -217,14 +275,15 @@ def _arrival(window, memory, W, noises):
     s_bar = memory.s[:, 0]
     v_bar = memory.v[:, 0]
     F, D, B = interval.linearised(s_bar, v_bar, window.dt_s)
-    A = interval.A_0 + D
-    V_0 = window.at(0, **noises)["V"]
+    noise_0 = window.at(0, **noises)
     noise = window.at(1, **noises)
-    updated = kalman.update(memory.m, memory.P, memory.z[:, 0], V_0, interval.outputs, s_bar)
+    updated = window.updated(memory.m, memory.P, v_bar, memory.z[:, 0], s_bar, **noise_0)
     v_m, R_v = interval.input_noise(memory.z[:, 1], v_bar, **noise)
     added = ca.diag(interval.process_noise(v_m, W, window.dt_s, noise.get("c")))
-    P_next = gauss_newton.symmetric(A @ updated.P @ A.T + B @ ca.diag(R_v) @ B.T) + added
-    m_next = F + A @ (updated.m - s_bar) + B @ (v_m - v_bar)
+    by_input = B @ ca.diag(R_v) @ B.T
+    m_next, P_next = window.propagated(F, D, updated.m, updated.P, s_bar, by_input)
+    m_next += B @ (v_m - v_bar)
+    P_next += added
     # Absurd measurements can leave no valid covariance; the previous one grows by W instead.
     is_valid = is_plausible(P_next) * ca.mmin(ca.diag(P_next) > 0)
     filtered = ca.if_else(is_plausible(m_next), m_next, memory.s[:, 1])
@@ -248,7 +307,7 @@ def _build_shift(window):
     memory = window.pieces
     of_guess = dict(m_0=memory.m) if window.doubts_model else {}
 
-    @casadi_function("rhe_shift", **of_guess)
+    @casadi_function("rhe_shift", window.symbols, **of_guess)
     def shift(memory: memory, noises: window.noises, W: memory.m, m_0=None):
         """The memory one sample later; the newest measurement is still missing."""
         m_next, P_next = _arrival(window, memory, W, noises)
@@ -256,14 +315,14 @@ def _build_shift(window):
         dt_s = window.dt_s * (memory.age >= 0)
         v_next = memory.v[:, -1]
         if window.noisy:  # what is expected of the new interval: the last input, and no noise
-            v_next = ca.vertcat(v_next[: len(window.model.inputs)], ca.SX.zeros(memory.s.size1()))
+            v_next = ca.vertcat(v_next[: len(window.model.inputs)], ca.DM.zeros(memory.s.size1()))
         s, v = gauss_newton.shift(window.interval, memory.s, memory.v, dt_s, v_next)
         if window.doubts_model:
             s = _plausible_newest(s, memory.age, m_0)
         return Memory(
             s=s,
             v=v,
-            z=ca.horzcat(memory.z[:, 1:], ca.SX.nan(memory.z.size1())),
+            z=ca.horzcat(memory.z[:, 1:], ca.DM.nan(memory.z.size1())),
             age=ca.fmin(memory.age + 1, N),
             m=ca.if_else(memory.age >= N, m_next, memory.m),
             P=ca.if_else(memory.age >= N, P_next, memory.P),
@@ -282,20 +341,18 @@ def _build_linearise(window):
     B_0 = interval.sparsities["B"]
     before = dict(B=B_0, v_before=v, m=s, P=P)
 
-    @casadi_function("rhe_filtered")
+    @casadi_function("rhe_filtered", window.symbols)
     def filter_step(before: before, z: z, s: s, v: v, dt_s: (1, 1), noise: window.noise):
         """One node: the input before it, its measurement, then the interval after it."""
         B, v_before, m, P = before.values()
-        m, P = window.predict_input(B, m, P, v_before, z, **noise)
-        m, P, K, e, *_ = kalman.update(m, P, z, noise["V"], interval.outputs, s)
+        m, P, K, e, *_ = window.corrected(B, m, P, v_before, z, s, **noise)
         F, D, B = interval.linearised(s, v, dt_s)
-        A = interval.A_0 + D
         # The input of the interval is uncertain, too; `predict_input` of the next node adds that.
-        P_next = ca.densify(gauss_newton.symmetric(A @ P @ A.T))
+        m_next, P_next = window.propagated(F, D, m, P, s)
         before_newest = dict(zip(window.before_newest, (m, P)))
-        return dict(F=F, D=D, B=B, K=K, e=e, m=F + A @ (m - s), P=P_next) | before_newest
+        return dict(F=F, D=D, B=B, K=K, e=e, m=m_next, P=ca.densify(P_next)) | before_newest
 
-    @casadi_function("rhe_linearise", compiled.loop_symbols())
+    @casadi_function("rhe_linearise", window.loop_symbols)
     def linearise(memory: window.pieces, noises: window.noises):
         """Filtered of the whole window, the prediction of node N, and s̄_N."""
         s, v, z = map(ca.horzsplit, (memory.s, memory.v, memory.z))
@@ -324,17 +381,18 @@ def _build_update_newest(window):
     C, _, _ = _bounded(interval)
     s, _, _, z, *_ = window.shapes
 
-    @casadi_function("rhe_newest")
+    @casadi_function("rhe_newest", window.symbols)
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (q - q̂)' H (q - q̂) with H = (C P C')⁻¹."""
         B, v, m, P = prediction.values()
-        m, P = window.predict_input(B, m, P, v, z_N, **noise)
-        m, P, K, e, deviance, _ = kalman.update(m, P, z_N, noise["V"], interval.outputs, s_N)
+        m, P, K, e, deviance, _ = window.corrected(B, m, P, v, z_N, s_N, **noise)
         P_q = C @ P @ C.T
-        if n_q == 2:
+        if not n_q:
+            H = ca.DM(0, 0)
+        elif n_q == 2:
             H = ca.inv_minor(P_q)
         else:
-            H = ca.ldl_solve(ca.SX.eye(n_q), *ca.ldl(P_q, False))
+            H = gauss_newton.solve_positive(P_q, ca.DM.eye(n_q))
         g = -H @ (C @ m)
         return dict(H=H, g=g, m=m, covariance=P, K_N=K, e_N=e, deviance=deviance)
 
@@ -390,7 +448,7 @@ def _build_feedback(window):
     condition = _build_condition(window)
     solve = box_qp(n_q) if n_q else None
 
-    @casadi_function("rhe_feedback", compiled.loop_symbols() if n_q <= 2 else ca.MX)
+    @casadi_function("rhe_feedback", window.loop_symbols if n_q <= 2 else ca.MX)
     def feedback(s_N: s, prediction: window.prediction, z_N: z, noise: window.noise):
         """The estimate, by the Kalman update with z_N and the QP within the bounds."""
         inputs = dict(s_N=s_N, z_N=z_N) | prediction | noise
@@ -444,11 +502,11 @@ def _build_passes(window):
         v_m, R_v = interval.input_noise(z, v, **noise)
         return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
 
-    @casadi_function("rhe_oldest")
+    @casadi_function("rhe_oldest", window.symbols)
     def oldest(adjoint: s, update: update, m: s, P: P, s: s, z: z, noise: noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
         s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s)
-        arrival = ca.dot(ca.ldl_solve(s - m, *ca.ldl(P, False)), s_new - s)  # H_N = P⁻¹
+        arrival = ca.dot(gauss_newton.solve_positive(P, s - m), s_new - s)  # H_N = P⁻¹
         return dict(s_new=s_new, descent=arrival + _descent(outputs, s_new, s, s, z, noise["V"]))
 
     @casadi_function("rhe_forward")
@@ -476,8 +534,8 @@ def _build_next_window(window):
     memory = window.pieces
     max_input = min((limit for _, limit in interval.input_outputs.values()), default=np.inf)
 
-    @short_cut("kept")
-    @casadi_function("rhe_next_window")
+    @short_cut("kept", window.symbols)
+    @casadi_function("rhe_next_window", window.symbols)
     def next_window(memory: memory, s_new: memory.s, v_new: memory.v, kept: (1, 1), P_0: memory.m):
         """The memory with the new solution or, if the step failed, of a new start.
 
@@ -486,7 +544,7 @@ def _build_next_window(window):
         """
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
-        restarted = Memory(s, v, ca.SX.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
+        restarted = Memory(s, v, ca.DM.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
         improved = memory._replace(s=s_new, v=v_new)
         return Memory(*(ca.if_else(kept, *pieces) for pieces in zip(improved, restarted)))
 
@@ -540,7 +598,7 @@ def _build_expand(window, linearise, feedback, whole_window):
     filtered = Filtered(*map(linearise.sparsity_out, Filtered._fields))
     constrained = Constrained(*map(feedback.sparsity_out, Constrained._fields))
 
-    @casadi_function("rhe_expand", compiled.loop_symbols())
+    @casadi_function("rhe_expand", window.loop_symbols)
     def expand(
         memory: memory,
         noises: noises,
@@ -592,7 +650,7 @@ def _build_judged_phases(window):
     """The phases, also the feedback of later iterations if it is another, and their symbols."""
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
-    symbols = compiled.loop_symbols() if is_closed_form else ca.MX
+    symbols = window.loop_symbols if is_closed_form else ca.MX
     if window.model.state_bounds:
         free = _build_plain_phases(window_bounds.without_bounds(window), whole_window=True)
         phases = window_bounds.with_bounds(window, free, _build_next_window(window))
@@ -623,9 +681,9 @@ def _build_cost(window):
     s, P, v, z, *_ = window.shapes
     noise = window.noise
 
-    @casadi_function("rhe_cost_of_arrival")
+    @casadi_function("rhe_cost_of_arrival", window.symbols)
     def arrival(s: s, m: s, P: P):
-        return dict(cost=ca.dot(s - m, ca.ldl_solve(s - m, *ca.ldl(P, False))) / 2)
+        return dict(cost=ca.dot(s - m, gauss_newton.solve_positive(P, s - m)) / 2)
 
     @casadi_function("rhe_cost_of_node")
     def node(s: s, z: z, noise: noise):

@@ -30,12 +30,12 @@ class NoisyInterval(robot_model.Interval):
         mean, variance = of_inputs.input_noise(z, v, V, c)
         motion_noise = self.motion_noise
         added = motion_noise.process(mean, W, None, c) if motion_noise else W
-        none = ca.SX.zeros(self.n_s)
+        none = ca.DM.zeros(self.n_s)
         return ca.vertcat(mean, none), ca.vertcat(variance, ca.fmax(added, _NO_NOISE))
 
     def process_noise(self, v, W, dt_s, c=None):
         """Variances (n_s,) of noise besides w: none."""
-        return ca.SX.zeros(self.n_s)
+        return ca.DM.zeros(self.n_s)
 
 
 @functools.cache

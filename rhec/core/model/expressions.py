@@ -6,6 +6,8 @@ import casadi as ca
 
 from rhec.core._casadi.validation import shown
 
+_ASKED = "Cannot compute the truth value"  # of an expression, says CasADi
+
 
 class _Column(ca.SX):
     """A column of expressions that can also be unpacked, as in `a, b = x`."""
@@ -26,12 +28,18 @@ def expression_of(name, function, symbols, *sizes):
     Raises:
         ValueError: If it cannot be called, or returns something else.
     """
+    expected = "it should map CasADi expressions (x, u, p) to one expression or a list of them"
     try:
         value = function(*map(_Column, symbols))
-        value = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
+        if value is None:
+            raise TypeError("it returned nothing")
+        value = ca.SX(ca.vertcat(*value)) if isinstance(value, list | tuple) else ca.SX(value)
     except Exception as error:
-        expected = "it should map CasADi expressions (x, u, p) to one expression or a list of them"
-        raise ValueError(f"{name} was refused ({shown(error)}); {expected}") from error
+        problem = shown(error)
+        if _ASKED in str(error):
+            problem = "it asks whether an expression is true, as `if`, `and`, min and max do"
+            expected = "it should use ca.if_else, ca.logic_and, ca.fmin or ca.fmax instead"
+        raise ValueError(f"{name} was refused ({problem}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
         counts = " or ".join(map(str, sorted(sizes)))

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from rhec.core._casadi.c_text import LARGE
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 
 Rule = Literal["rk4", "radau3", "radau5"]
@@ -248,13 +249,14 @@ def _whole_check(model, dt_s, groups, depends):
     by_x = model.slopes(*symbols)
     blocks = [by_x[group, group] * dt_s for group in groups]
 
+    step = _build_step_and_slopes(model)
+
     def steps_of(steps):
         """Blocks of ∂F/∂x of the rule with so many substeps."""
-        step = _build_step_and_slopes(model, dt_s / steps)
         x, u, p = symbols
         rule = ca.MX.eye(x.numel())
         for _ in range(steps):
-            x, slopes = step(x, u, p)
+            x, slopes = step(x, u, p, dt_s / steps)
             rule = slopes @ rule
         return [rule[group, group] for group in groups]
 
@@ -266,12 +268,13 @@ def _whole_check(model, dt_s, groups, depends):
     return symbols, [grows]
 
 
-def _build_step_and_slopes(model, h):
-    """(x, u, p) -> the state after one step h [s] of the rule, and its slopes by x, dense."""
+def _build_step_and_slopes(model):
+    """(x, u, p, h) -> the state after one step h [s] of the rule, and its slopes by x, dense."""
     x, u, p = symbols = model.slopes.sx_in()
+    h = ca.SX.sym("h")
     after = rk4(model.dynamics, x, u, p, h)
     slopes = ca.densify(ca.jacobian(after, x))
-    return ca.Function("step_and_slopes", symbols, [after, slopes], {"cse": True})
+    return ca.Function("step_and_slopes", [*symbols, h], [after, slopes], {"cse": True})
 
 
 def _build_may_grow(model, dt_s, groups):
@@ -338,10 +341,15 @@ def _grown(z, steps):
 
 def _flow(z):
     """About e^z of a matrix z (n, n), by a rule that damps whatever the model damps."""
-    symbol = ca.SX.sym("z", *z.shape)
-    unit = ca.SX.eye(z.size1())
-    inverse = ca.densify(ca.solve(unit - symbol / 2**_HALVINGS, unit))
-    flow = ca.Function("implicit", [symbol], [inverse], {"cse": True})(ca.densify(z))
+    n = z.size1()
+    if n < LARGE:
+        symbol = ca.SX.sym("z", n, n)
+        unit = ca.SX.eye(n)
+        inverse = ca.densify(ca.solve(unit - symbol / 2**_HALVINGS, unit))
+        flow = ca.Function("implicit", [symbol], [inverse], {"cse": True})(ca.densify(z))
+    else:
+        unit = ca.DM.ones(n, n) * ca.DM.eye(n)
+        flow = ca.solve(unit - ca.densify(z) / 2**_HALVINGS, unit, "qr")
     for _ in range(_HALVINGS):
         flow = flow @ flow
     return flow

@@ -64,7 +64,8 @@ class Model:
             By default 1e8 in the output's unit: choose units in which no output is that large.
         angles: Names of the outputs that are angles [rad], which are measured up to full turns.
         heading: Name of the state that is the robot's heading [rad], if any. Where an estimate may
-            be turned round, by half a turn, an RHE then tries the other direction, too.
+            be turned round, by half a turn, an RHE then tries the other direction, too. An RHC
+            takes it and its references up to full turns: +3.1 and -3.1 are near each other.
         sigma_held: {name: standard deviation} of inputs that are not measured for a sample, and are
             taken to be the last ones then: how far such an input changes in a sample, in its unit.
             By default ten times its `sigma_v`. For an input without an output of its own it is the
@@ -215,7 +216,8 @@ class Model:
             dt: Length of a sample [s].
 
         Returns:
-            (n + 1, n_x) states, the first of them x, by the Model's rule.
+            (n + 1, n_x) states, a row for each sample and the first of them x, by the Model's
+            rule. `rhec.RHC` wants desired states as columns: x_ref is the transpose.
 
         Raises:
             ValueError: If an argument has another shape.
@@ -434,7 +436,7 @@ class Interval(NamedTuple):
                 sigma = sigma or SIGMA_HELD
                 others = self.mixing_outputs[place]
                 valid = [is_valid_measurement(z[row], limit) for row, limit in others]
-                n_valid = sum(valid, ca.SX(0))
+                n_valid = sum(valid, ca.DM(0))
                 missing = sigma**2 if held is None else held
                 mean.append(v[place])
                 variance.append(ca.if_else(n_valid, (SIGMA_UNMEASURED * sigma) ** 2, missing))

@@ -35,4 +35,22 @@ def kkt_tolerance(gradient_along_step, multipliers, lower, upper):
 
 def symmetric(P):
     """Mirror the upper triangle of P (n, n): half the work, and symmetric to the last bit."""
+    if isinstance(P, ca.MX):
+        n = P.size1()
+        upper = [min(i, j) + n * max(i, j) for j in range(n) for i in range(n)]
+        return ca.reshape(ca.densify(P).nz[upper], n, n)
     return ca.triu2symm(ca.triu(P))
+
+
+def solve_positive(P, b):
+    """P⁻¹ b of a positive definite P (n, n), by its factors L D L'."""
+    if isinstance(P, ca.MX) and P.numel():
+        return ca.solve(P, b, "ldl")
+    return ca.ldl_solve(ca.SX(b), *ca.ldl(ca.SX(P), False))
+
+
+def propagated(A, P, added):
+    """The covariance A P A' + added of a state after an interval with the slopes A (n, n)."""
+    if isinstance(P, ca.MX):
+        A = ca.densify(A)  # products of dense matrices are the fastest loops
+    return symmetric(A @ P @ A.T + added)
