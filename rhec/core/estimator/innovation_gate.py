@@ -14,24 +14,29 @@ later step returns. A sample has three chances:
    as a steering angle that changes sides, is no sign of a fault.
 3. Otherwise it is rejected: the judged outputs count as missing, and so do such inputs.
 
-While samples are rejected, or have no judged output, S is not that of the prediction, whose window
-loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
-sample that was used, times one more than the samples that had no output since. An input that is not
-measured may be anything: deviations count once more for each sample in a row without some.
+While samples are rejected, or have no judged output, the window loses its measurements, and with a
+large W the S of its prediction would let anything pass. So S is that of the last sample that was
+used, times 1 + the number of samples that had no output since. An input that is not measured may
+have any value: after n samples in a row without some input, S is multiplied by (1 + n)², too.
 
 What is wrong may be the estimate and not the samples. Then their innovations follow each other:
 those of a position that has moved for good are all alike, those of a wrong speed grow evenly. The
-window restarts at the fourth sample rejected in a row if second differences of the innovations,
+window restarts at the fourth sample rejected in a row if two second differences of the innovations
+are no more than noise,
 
     (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit  with the variances in S alone,
 
-are twice no more than noise: white noise of variance σ² has 6σ² (von Neumann, 1941). A window whose
-solution swings must not look like noisy samples, so that the innovations of the last two samples
-are moved along with the newest node, as the feedback moves it. Up to three
-wild samples therefore move nothing. So it restarts where too many are rejected in a row, whichever
-they are (`patience`). How it restarts says `new_start`. It restarts, too, where it fits the samples
-only because the robot is thought to be turned round (`half_turn`), and where the integration rule
-lets grow at the estimate what the model does not: such intervals tell of a state what is not so.
+where 6 stands because that of white noise with variance σ² is 6σ² (von Neumann, 1941). Up to three
+wild samples therefore move nothing. A window whose solution swings must not look like noisy
+samples, so that the innovations of the last two samples are moved along with the newest node, as
+the feedback moves it. The window also restarts
+
+- where too many samples are rejected in a row, whichever they are (`patience`);
+- where it fits the samples only because the robot is thought to be turned round (`half_turn`);
+- where the integration rule is unstable at the estimate although the model is not: such intervals
+  predict states that are wrong.
+
+`new_start` says how it restarts.
 """
 
 from dataclasses import dataclass
@@ -177,17 +182,19 @@ class InnovationGate:
         @casadi_function("gate", ca.SX, **self._shapes(window), is_clean=(1, 1))
         def gate(m_0, P_0, z_N, v, is_clean, age=None, iteration=None, **values):
             before, noise, predictions = self._given(window, values)
+            # A clean sample has usual ones before it: what follows from others is left out then.
             usual = noise_level.USUAL | dict(rejected=0, missing=0, in_line=0)
             before |= {key: ca.if_else(is_clean, each, before[key]) for key, each in usual.items()}
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
             run = self._run(window, before, noise, seen, z_N, age)
             m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, m_0, P_0)
-            fits = ca.if_else(run.is_noisier, 1, seen.fits)
+            # The three chances: as measured, with the inputs that are kept, without its outputs.
+            as_measured = ca.if_else(run.is_noisier, 1, seen.fits)
             is_used = ca.if_else(run.is_noisier, 1, seen.is_used)
-            other = ca.logic_or(is_used, run.restart)
+            has_outputs = ca.logic_or(is_used, run.restart)
             rejected = _without(outputs, seen.kept)
-            z_used = ca.if_else(fits, z_N, ca.if_else(other, seen.kept, rejected))
-            as_used = _chosen(fits, seen.at_measured, seen.at_kept)
+            z_used = ca.if_else(as_measured, z_N, ca.if_else(has_outputs, seen.kept, rejected))
+            as_used = _chosen(as_measured, seen.at_measured, seen.at_kept)
             scale, after = self._after(window, before, seen, run, is_used)
             return dict(
                 z_used=z_used,
@@ -197,7 +204,7 @@ class InnovationGate:
                 s_restart=run.s,
                 s_predicted=run.s_predicted,
                 m_alone=as_used.m,
-                as_measured=fits,
+                as_measured=as_measured,
                 is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
                 agrees=ca.logic_or(is_used, run.restart * (not window.model.state_bounds)),
@@ -409,9 +416,9 @@ class _Seen(NamedTuple):
     kept: Any  # (n_z,) the sample with these
     has: Any  # (n_y,) which of the judged outputs it has
     S: Any  # (n_y, n_y) covariance of their innovation
-    grown: Any  # the same for a sample after some that were missing
-    limit: Any  # of the distance
-    d: Any  # distance
+    grown: Any  # S, larger the more samples before had no outputs, or not all inputs
+    limit: Any  # of the distance; wider where many good samples were rejected (`noise_level`)
+    d: Any  # distance, by `grown`
     scale: Any  # factor of the noise
     strays: Any  # whether the window leads elsewhere than its solution
     unknown: Any  # how many samples in a row had outputs, but not all inputs
