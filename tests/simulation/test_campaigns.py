@@ -394,17 +394,6 @@ def test_no_damaged_row_is_ever_taken(tmp_path):
     assert left_aside > 100
 
 
-def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch):
-    def full(table, file, **options):
-        file.write(b"half")
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(pq, "write_table", full)
-    with pytest.raises(OSError, match=r"No space left on device: '.*\.parquet'"):
-        store.save_rows(tmp_path, {"a": dict(error="")})
-    assert not [*tmp_path.iterdir()]
-
-
 def test_runs_that_share_fields_and_noise_are_neighbours():
     """Loops of eight seeds, which lanes compute together, then those of the next eight."""
     scenarios = {
