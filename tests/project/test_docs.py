@@ -117,7 +117,3 @@ def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
     rows = [line for line in lines[answer:end] if line.startswith("| ")]
     assert [cell.strip() for cell in rows[0].split("|")[2:4]] == ["the paper", "W as printed"]
     assert 6 <= len(rows) - 2 <= 7
-
-
-def test_no_sign_outside_of_the_alphabet_is_data_in_the_readme():
-    assert not [sign for sign in TEXT["README.md"] if ord(sign) >= 0x2600]

@@ -230,18 +230,6 @@ def test_the_estimate_shows_its_drift():
     assert re.search(r"kappa: 1 ± 0.25\n    yaw_drift_radpm: 0 ± 0.05$", shown), shown
 
 
-@pytest.mark.parametrize("made", [rhec.RHE, rhec.Scenario])
-def test_tracks_that_slip_have_no_yaw_drift(made):
-    expected = "^speed_model was 'slipping'; with yaw_drift it should be one of"
-    with pytest.raises(ValueError, match=expected):
-        made(yaw_drift=True, speed_model="slipping")
-
-
-def test_only_an_rhe_has_the_option():
-    with pytest.raises(ValueError, match="^yaw_drift was True; for the estimator 'ekf' it should"):
-        rhec.Scenario(yaw_drift=True, estimator="ekf")
-
-
 # In a replay
 
 
