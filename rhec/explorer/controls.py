@@ -122,7 +122,6 @@ _CONTROLS = (
     _selection("speed_model", "speed ν", _SPEEDS),
     _selection("yaw_drift", "yaw drift", _NOT_OR_ESTIMATED),
     _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
-    _selection("yaw_drift", "estimate yaw drift", _NO_YES),
     *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
     *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
     *_entries("q", "Q", ("x", "y", "θ"), 0, 20, 0.5),
