@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -50,6 +51,19 @@ def untraceable():
     """A path that a Scenario takes and that no run can follow."""
     track = rhec.Path.racetrack(30.0, 7.8)
     return Untraceable(track.segments, track.length_m, True)
+
+
+def assert_refused(make, rows):
+    """Each row is refused in one sentence: (arguments or options, how it begins).
+
+    In the sentence … stands for any text.
+    """
+    for bad, begin in rows:
+        given, named = ((), bad) if isinstance(bad, dict) else (bad, {})
+        begins = re.escape(begin).replace("…", ".*")
+        with pytest.raises(ValueError, match=f"^{begins}") as refused:
+            make(*given, **named)
+        assert "\n" not in str(refused.value)
 
 
 # Any robot of `robots`

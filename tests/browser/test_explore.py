@@ -72,22 +72,6 @@ class Explorer:
         for _ in range(times):
             self.page.keyboard.press(key)
 
-    def tap(self, label, from_end):
-        """Press and let go on a slider, on the other side of its handle, so far from its end (a
-        share of its length).
-        """
-        box, handle = (
-            self.slider(label).locator(".noUi-target").bounding_box(),
-            self.slider(label).locator(".noUi-handle").bounding_box(),
-        )
-        on_the_left = handle["x"] + handle["width"] / 2 < box["x"] + box["width"] / 2
-        self.page.mouse.move(
-            box["x"] + box["width"] * (1 - from_end if on_the_left else from_end),
-            box["y"] + box["height"] / 2,
-        )
-        self.page.mouse.down()
-        self.page.mouse.up()
-
     def settled(self):
         """Wait until a picture has come and no more do. Returns when each was painted since the
         last time, and when the pointer was pressed and let go [ms].
@@ -195,81 +179,6 @@ def test_dragging_follows_drops_pictures_and_ends_at_the_last_value(explorer, ca
     assert f"speed_mps={readout!r}" in explorer.line
 
 
-@pytest.mark.timed
-def test_the_time_from_a_slider_to_the_new_picture(explorer, capsys):
-    """Told, not judged: it depends on the machine."""
-    places = [
-        ("Controller", "R"),
-        ("Controller", "Q of θ"),
-        ("Drive", "speed [m/s]"),
-        ("Soil", "κ mean"),
-        ("Sensors", "GNSS noise [m]"),
-    ]
-    times, rng = [], np.random.default_rng(0)
-    for tab, label in places:
-        explorer.tab(tab)
-        for from_end in rng.uniform(0.05, 0.3, 8):
-            explorer.tap(label, from_end)
-            seen = explorer.settled()
-            times.append(seen["painted"][-1] - seen["pressed"])
-    median, high = np.percentile(times, [50, 95])
-    with capsys.disabled():
-        print(
-            f"\nslider to painted picture: median {median:.0f} ms, 95 % {high:.0f} ms, "
-            f"{len(times)} moves, two runs each; {explorer.status}"
-        )
-    assert len(times) >= 30
-
-
-def test_a_pinned_run_stays_and_the_table_tells_the_difference(explorer):
-    explorer.press("pin")
-    explorer.settled()
-    assert len(explorer.metrics) == 4
-    assert all(set(row.split("\t")[1:]) == {"0"} for row in explorer.metrics[2:])
-    explorer.tab("Controller")
-    explorer.press("Q¹")
-    explorer.settled()
-    assert "q=(1.0, 1.0, 10.0)" in explorer.line
-    assert all("+" in row or "−" in row.split("\t", 1)[1] for row in explorer.metrics[2:])
-
-
-def test_an_impossible_setting_is_one_sentence_and_the_picture_stays(explorer):
-    explorer.tab("Soil")
-    explorer.keys("μ mean", "End")
-    explorer.settled()
-    picture = explorer.picture
-    explorer.keys("μ deviation", "End")
-    explorer.page.wait_for_function(
-        "document.querySelector('.rhec-status').innerText.includes('mu_deviation was 0.3')"
-    )
-    assert "\n" not in explorer.status
-    assert explorer.picture == picture
-
-
-def test_a_wet_patch_is_added_and_removed(explorer):
-    picture = explorer.picture
-    explorer.tab("Soil")
-    explorer.press("add a wet patch")
-    explorer.settled()
-    assert "patches=((15.0, 0.0, 2.5, 0.7, 0.55),)" in explorer.line
-    explorer.keys("along x [m]", "ArrowRight", 4)
-    explorer.settled()
-    assert "patches=((17.0, 0.0, 2.5, 0.7, 0.55),)" in explorer.line
-    explorer.press("remove the last")
-    explorer.settled()
-    assert explorer.picture == picture
-
-
-def test_zoom_and_soil_change_the_map_alone(explorer):
-    for options in (("first row", "worst place", "whole path"), ("of μ", "of κ")):
-        known = explorer.page.locator("option", has_text=options[0])
-        for option in options:
-            before = explorer.picture
-            explorer.page.locator(".rhec select", has=known).select_option(option)
-            explorer.settled()
-            assert explorer.picture[0] != before[0] and explorer.picture[1:] == before[1:]
-
-
 def test_the_pictures_tell_what_they_are_and_are_readable_in_both_themes(explorer):
     before, page = explorer.picture, explorer.page
     labels = page.evaluate(
@@ -374,30 +283,6 @@ def test_a_click_on_the_legend_hides_and_shows(explorer):
     button.click()
     page.mouse.move(1, 1)
     assert explorer.picture == whole
-
-
-def test_controls_and_numbers_are_on_one_screen(explorer):
-    page = explorer.page
-    page.set_viewport_size({"width": 1440, "height": 900})
-    explorer.quiet()
-    panel = page.locator(".jp-NotebookPanel-notebook").bounding_box()
-    page.evaluate("document.querySelector('.rhec').scrollIntoView()")
-    for part in (".rhec .widget-tab", ".rhec-pictures", ".rhec-table"):
-        box = page.locator(part).first.bounding_box()
-        assert box["y"] >= panel["y"] - 1
-        assert box["y"] + box["height"] <= panel["y"] + panel["height"] + 1, part
-    page.set_viewport_size({"width": 1366, "height": 768})
-    explorer.quiet()
-    page.evaluate("seen.painted = []")
-
-
-def test_a_new_horizon_compiles(explorer):
-    explorer.tab("Controller")
-    explorer.keys("horizon [intervals]", "ArrowRight", 1)
-    explorer.page.wait_for_function(
-        "document.querySelector('.rhec-line').innerText.includes('horizon=16')"
-    )
-    assert "runs of 240 s" in explorer.status
 
 
 # The last size is the one that the page was opened with.

@@ -164,6 +164,22 @@ def test_the_first_feedback_is_iterated_and_solve_tells_whether_it_converged():
     np.testing.assert_allclose(live.u_plan, iterated.u_plan, rtol=0, atol=1e-6)
 
 
+def test_ok_and_converged_tell_how_far_the_optimum_is():
+    """Of plans of ever more iterations: one that IPOPT improves much is neither; it is `ok` before
+    it is converged.
+    """
+    given = unicycle_instance(np.random.default_rng(7)) | dict(u_ref=np.zeros(2))
+    mpc, oracle = controller(UNICYCLE), reference(UNICYCLE)
+    flags = []
+    for iterations in (4, 8, 15, 18, 24, 27):
+        mpc.iteration.started = False
+        mpc.solve(**given, iterations=iterations)
+        error = np.abs(mpc.u_plan - oracle.solve(**given, u=mpc.u_plan).u).max()
+        assert (mpc.ok, mpc.converged) == (error < 0.1, error < 1e-5)
+        flags.append(mpc.ok + mpc.converged)
+    assert flags == [0, 0, 1, 1, 2, 2]
+
+
 def test_changes_have_weights_and_bounds():
     """As IPOPT finds; the bound of the changes is active, and the changes are counted on from the
     command of the sample before.

@@ -115,6 +115,30 @@ def test_every_scene_opens_with_controls_that_exist():
         assert "omega_max_radps" in scene["values"]
 
 
+@pytest.mark.parametrize("turns", page.TURNS.values())
+def test_the_line_that_is_drawn_is_the_path_in_equal_steps(turns):
+    path = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M, turns)
+    field = page.fields_of_turns()[turns]
+    line = np.array(field["path"])
+    distances, _ = path.project(line)
+    assert distances.max() < 1e-3  # it is rounded to a millimetre
+    steps = np.hypot(*np.diff(line, axis=0, append=line[:1]).T)
+    assert 0.97 * field["path_step_m"] < steps.min() and steps.max() < 1.003 * field["path_step_m"]
+    assert len(line) * field["path_step_m"] == pytest.approx(path.length_m)
+
+
+def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
+    world = page._world()
+    sliders = [slider for group in world["groups"].values() for slider in group]
+    assert {slider["field"] for slider in sliders} == page._FIELDS | {"patch"}
+    for scene in world["scenes"].values():
+        values = scene["values"] | dict(patch=world["new_patch"])
+        for slider in sliders:
+            value = np.atleast_1d(values[slider["field"]])[slider["place"] or 0]
+            place = np.log10(value) if slider["kind"] == "log" else value
+            assert slider["low"] <= place <= slider["high"], slider
+
+
 def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(wasm, "can_compile", lambda: False)
     monkeypatch.setattr("sys.argv", ["page", str(tmp_path)])

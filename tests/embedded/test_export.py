@@ -138,6 +138,17 @@ def test_answers_to_wrong_measurements_equal_pythons(spoil, robot, measured):
         assert abs(answers[10][0] - answers[9][0]) < 1 > abs(answers[-1][0] - z[-1, 0])
 
 
+def test_a_rejected_yaw_rate_is_no_reference_as_a_missing_one_is_none(robot, measured):
+    """The last command stands in for either; beside a wild position a wild yaw rate is rejected."""
+    commands = []
+    for wild in (3.0, np.nan):
+        robot.begin()
+        z = measured[:11].copy()
+        z[10] += (600.0, -800.0, 0.0, wild)
+        commands.append([robot.step(row)[1] for row in z])
+    np.testing.assert_allclose(commands[0], commands[1], rtol=0, atol=TOLERANCE)
+
+
 @pytest.mark.nightly
 def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     machine, objects = built("paper")
@@ -608,7 +619,7 @@ def test_an_exported_controller_with_constraints_answers_as_the_live_object(tmp_
     assert 20 <= sum(solved) < 30
 
 
-@pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing"])
+@pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing", "other"])
 def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tmp_path):
     with no_compiler():
         mhe, mpc = made_for(ROBOTS["cart"])
@@ -620,6 +631,7 @@ def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tm
             "ekf": (rhec.EKF(model=mhe.model, **kalman), "^scenario was .*; it should be"),
             "dt": ((mhe, other), "^RHE and RHC differ; both should have the same model and dt$"),
             "nothing": ((), "^scenario was .*; it should be a rhec.Scenario"),
+            "other": ((mhe, "rhc"), "^scenario was .*; it should be a rhec.Scenario"),
         }[wrong]
         with pytest.raises(ValueError, match=sentence):
             rhec.export(parts, tmp_path / "new")

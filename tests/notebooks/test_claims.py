@@ -868,6 +868,8 @@ def test_runs_whose_logs_are_needed_are_driven_once(monkeypatch):
 def test_measured_agrees_with_the_log(run):
     shown, log = run_sets.measured(run), run.log
     assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
+    highest = log[["mu_hat", "kappa_hat"]].max(axis=None)
+    assert highest == 1 and not shown["above_one"]  # a bound that is reached is not exceeded
     assert (
         shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
         and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
@@ -958,6 +960,10 @@ def test_who_never_arrives_has_used_up_the_time_and_failed_runs_are_no_evidence(
 def test_the_time_from_which_an_error_stays_small():
     assert experiments.reached_s(np.r_[np.ones(10), np.zeros(40)]) == pytest.approx(2.0)
     assert experiments.reached_s(np.ones(50)) == pytest.approx(10.0)
+    # exp(-t) is below 0.1 from ln 10 = 2.303 s on
+    decaying = np.exp(-paper.DT_S * np.arange(50))
+    for error in (decaying, -decaying):
+        assert experiments.reached_s(error) == pytest.approx(2.4)
 
 
 def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):

@@ -7,9 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
+from matplotlib.figure import Figure
 
+from rhec import style
 from rhec.files import replacing
+from rhec.simulation.campaigns import store
 
 ROOT = Path(__file__).parents[2]
 # Writes its letter into a file, again and again.
@@ -45,6 +50,33 @@ def test_an_older_file_stays_if_writing_fails(tmp_path, error):
         unfinished.write(b"half")
         raise error
     assert file.read_bytes() == b"old" and list(tmp_path.iterdir()) == [file]
+
+
+TABLE = pd.DataFrame(dict(a=[1.0]))
+# What is written: the library's function that fails in the middle of it, and the call.
+WRITTEN = {
+    "figure": (Figure, "savefig", lambda folder: style.save(Figure(), "one", folder=folder)),
+    "table": (pd.DataFrame, "to_csv", lambda folder: style.save_table(TABLE, "one", "One", folder)),
+    "rows": (pq, "write_table", lambda folder: store.save_rows(folder, {"a": dict(error="")})),
+}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+@pytest.mark.parametrize("what", WRITTEN)
+def test_whatever_is_written_leaves_the_old_one_if_it_fails(what, error, tmp_path, monkeypatch):
+    owner, writer, save = WRITTEN[what]
+    save(tmp_path)
+    whole = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+
+    def failing(*given, **options):
+        (file,) = [each for each in given if hasattr(each, "write")]
+        file.write(b"half")
+        raise error
+
+    monkeypatch.setattr(owner, writer, failing)
+    with pytest.raises(error):
+        save(tmp_path)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == whole != {}
 
 
 def test_an_error_names_the_file(tmp_path):

@@ -7,12 +7,8 @@ import sys
 from pathlib import Path
 
 import nbformat
-import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from nbformat import v4
-
-from rhec import style
 
 ROOT = Path(__file__).parents[2]
 needs_make = pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
@@ -99,8 +95,6 @@ def test_an_environment_of_another_checkout_is_not_changed(checkout, tmp_path):
 
 # Files in figures/
 
-TABLE = pd.DataFrame(dict(a=[1]))
-
 
 @needs_make
 def test_clean_removes_what_was_made_alone(checkout):
@@ -113,30 +107,6 @@ def test_clean_removes_what_was_made_alone(checkout):
     (checkout / "build/made").write_text(f"{made.relative_to(checkout)}\n")
     run_make(checkout, "clean", MADE="figures/thesis.tex")
     assert theirs.exists() and not made.exists() and not (checkout / "stolen").exists()
-
-
-@pytest.mark.parametrize(
-    ("owner", "writer", "save"),
-    [
-        (Figure, "savefig", lambda folder: style.save(Figure(), "one", folder=folder)),
-        (pd.DataFrame, "to_csv", lambda folder: style.save_table(TABLE, "one", "One", folder)),
-    ],
-)
-def test_an_interrupted_picture_or_table_leaves_the_old_one(
-    tmp_path, monkeypatch, owner, writer, save
-):
-    save(tmp_path)
-    whole = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-
-    def interrupted(self, file, **options):
-        file.write(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(owner, writer, interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        save(tmp_path)
-    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == whole
-    assert len(whole) == 2
 
 
 FAILING = """

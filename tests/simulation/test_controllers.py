@@ -1,4 +1,4 @@
-"""A controller of one's own in the closed loop, and what is refused of it."""
+"""A controller of one's own in the closed loop."""
 
 import dataclasses
 import json
@@ -20,16 +20,6 @@ from rhec.simulation.campaigns import batch
 PLAIN = rhec.Scenario(estimator="ekf", process_noise="prediction", duration_s=20.0)
 OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
 NAMED = {"allow_duplicate_io_names": True}
-
-
-def step_of(inputs, results):
-    """A Function with inputs and results of these names and shapes, all of whose results are 0."""
-    given = [ca.SX.sym(name, *shape) for name, shape in inputs.items()]
-    zeros = [ca.SX.zeros(*shape) for shape in results.values()]
-    return ca.Function("own", given, zeros, [*inputs], [*results], NAMED)
-
-
-COMMAND = dict(command=(1, 1))
 
 
 # In the loop
@@ -127,100 +117,3 @@ def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path
         monkeypatch.setattr(batch, "_WORTH_COMPILING", 0)
         in_lanes = rhec.campaign(scenarios, workers=1)
         pd.testing.assert_frame_equal(in_lanes[expected.columns], expected)
-
-
-# What is refused
-
-
-@pytest.mark.parametrize(
-    ("step", "memory", "sentence"),
-    [
-        ("steer", (), "step was 'steer'; it should be a CasADi Function"),
-        (step_of({}, COMMAND), 1.0, "memory was 1.0; it should be a sequence of finite numbers"),
-        (step_of({}, COMMAND), (np.nan,), "memory was (nan,); it should be a sequence of finite"),
-        (
-            step_of({}, COMMAND),
-            ("a",),
-            "memory was ('a',); it should be a sequence of finite numbers",
-        ),
-        (step_of({}, {}), (), "step has no result 'command'; it should have one"),
-        (
-            step_of(dict(speed=(1, 1)), COMMAND),
-            (),
-            "step has the input 'speed'; it should be one of memory, s_0, x_ref, u_ref, lower",
-        ),
-        (
-            step_of({}, COMMAND | dict(omega=(1, 1))),
-            (),
-            "step has the result 'omega'; it should be one of memory, command, kkt, ok, speed_mps",
-        ),
-        (
-            step_of({}, dict(command=(2, 1))),
-            (),
-            "step has the result 'command' of shape (2, 1); it should have (1, 1)",
-        ),
-        (
-            step_of({}, COMMAND),
-            (0.0, 0.0),
-            "step has no input 'memory'; for a first memory of 2 numbers it should have one",
-        ),
-        (
-            step_of(dict(memory=(2, 1)), COMMAND),
-            (0.0, 0.0),
-            "step has no result 'memory'; for a first memory of 2 numbers it should have one",
-        ),
-        (
-            step_of(dict(memory=(3, 1)), COMMAND | dict(memory=(3, 1))),
-            (0.0, 0.0),
-            "step has the input 'memory' of shape (3, 1); it should have (2, 1)",
-        ),
-        (
-            step_of(dict(memory=(2, 1)), COMMAND | dict(memory=(1, 2))),
-            (0.0, 0.0),
-            "step has the result 'memory' of shape (1, 2); it should have (2, 1)",
-        ),
-    ],
-)
-def test_what_is_no_controller_is_refused_in_one_sentence(step, memory, sentence):
-    with pytest.raises(ValueError) as refused:
-        rhec.Controller(step, memory)
-    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
-
-
-class Constant(ca.Callback):
-    """A Function in Python."""
-
-    def __init__(self):
-        super().__init__()
-        self.construct("constant")
-
-    def eval(self, arguments):
-        return [0.1]
-
-
-def test_a_step_in_python_is_refused():
-    constant, upper = Constant(), ca.MX.sym("upper")
-    step = ca.Function("own", [upper], [constant(upper)], ["upper"], ["command"])
-    with pytest.raises(ValueError, match="^step was .*; it should be made of what CasADi can sto"):
-        rhec.Controller(step)
-
-
-@pytest.mark.parametrize(
-    ("name", "shape", "wanted", "fields"),
-    [
-        ("s_0", (3, 1), (6, 1), {}),
-        ("x_ref", (3, 16), (3, 11), dict(prediction_horizon=10)),
-        ("u_ref", (15, 1), (1, 15), {}),
-        ("Q", (3, 3), (3, 1), {}),
-        ("covariance", (6, 6), (4, 4), {}),
-        ("covariance", (1, 1), (0, 0), dict(estimator="oracle")),
-        ("segments", (5, 4), (5, 1), dict(path=rhec.Path.from_segments([(9.0, 0.0)]))),
-        ("disturbance", (2, 1), (1, 1), {}),
-    ],
-)
-def test_a_scenario_refuses_inputs_of_other_shapes(name, shape, wanted, fields):
-    controller = rhec.Controller(step_of({name: shape}, COMMAND))
-    with pytest.raises(ValueError) as refused:
-        dataclasses.replace(PLAIN, controller=controller, **fields)
-    expected = f"step has the input {name!r} of shape {shape}; it should have {wanted}"
-    assert str(refused.value) == expected

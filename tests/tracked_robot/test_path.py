@@ -232,9 +232,3 @@ def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for
     expected = np.where(29.5 + 0.09 * np.arange(HORIZON) >= 30, 0.5 * 0.9 / 7.8 / 0.8, 0)
     np.testing.assert_allclose(omega, expected, atol=1e-12)
     assert 0 < np.count_nonzero(omega) < HORIZON
-
-
-@pytest.mark.parametrize("pieces", [[], [(0.0, 0.1)], [(3.0, 0.0), (-1.0, 0.0)]])
-def test_a_path_of_nothing_is_refused(pieces):
-    with pytest.raises(ValueError, match=r"^pieces(\[\d\]\[0\])? was .*; it (must|should) be"):
-        rhec.Path.from_segments(pieces)

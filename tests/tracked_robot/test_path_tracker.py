@@ -1,7 +1,6 @@
 """References on a path for any Model, by the names of its states."""
 
 import numpy as np
-import pytest
 
 import rhec
 from rhec.core.estimator.estimate import Estimate
@@ -53,24 +52,3 @@ def test_an_estimate_that_is_not_finite_keeps_the_references_of_the_last():
     other.references(good)
     np.testing.assert_array_equal(tracker.references(good)[0], other.references(good)[0])
     assert np.isfinite(tracker.s_m)
-
-
-def test_what_does_not_fit_is_refused_in_one_sentence():
-    named = rhec.PathTracker(PATH, speed=0.5, **NAMES)
-    plain = rhec.PathTracker(PATH)
-    found = estimate(x_m=1.0, y_m=2.0, yaw_rad=0.4)
-    with pytest.raises(ValueError, match="^speed was not given; PathTracker needs position, head"):
-        rhec.PathTracker(PATH, **NAMES)
-    with pytest.raises(ValueError, match=r"the name 'yaw_rad'; this estimate has the states x_m, "):
-        named.references(estimate(x_m=1.0, y_m=2.0, theta=0.4))
-    with pytest.raises(ValueError, match="^estimate was .*; it should be an Estimate"):
-        named.references(np.zeros(6))
-    with pytest.raises(ValueError, match="^omega_measured was 0.1; "):
-        named.references(found, 0.1)
-    for wrong in (found, found.x):
-        with pytest.raises(
-            ValueError, match=r"^estimate was .*; it should be \(x, y, θ, ν, μ, κ\)"
-        ):
-            plain.references(wrong, 0.0)
-    with pytest.raises(ValueError, match="^omega_measured was not given"):
-        plain.references(np.zeros(6))

@@ -140,35 +140,3 @@ def test_between_the_points_it_is_bilinear_and_beyond_them_constant():
         np.testing.assert_allclose(
             got, [each(np.clip(xy, low, high))[0] for each in reference], atol=1e-12
         )
-
-
-@pytest.mark.parametrize(
-    "mu, kappa, sentence",
-    [
-        (np.ones(4), np.ones((2, 2)), r"^mu had shape \(4,\); it must be"),
-        (np.ones((2, 2)), np.ones((1, 5)), r"^kappa had shape \(1, 5\); it must be"),
-        (np.zeros((2, 2)), np.ones((2, 2)), "^mu ranged from 0.0 to 0.0; traction must lie"),
-        (np.ones((2, 2)), np.full((2, 2), 1.1), "^kappa ranged from 1.1 to 1.1; traction must lie"),
-        (np.ones((2, 2)), np.full((2, 2), np.nan), "^kappa ranged from nan"),
-        (np.ones((2, 2)), np.ones((2, 3)), r"^mu and kappa had shapes \(2, 2\) and \(2, 3\)"),
-    ],
-)
-def test_bad_fields_are_named(mu, kappa, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        rhec.Terrain(mu, kappa, (0.0, 0.0), 1.0)
-
-
-@pytest.mark.parametrize(
-    "bad, name",
-    [
-        (dict(cell_m=0.0), "cell_m"),
-        (dict(cell_m=np.nan), "cell_m"),
-        (dict(origin_m=(0.0,)), "origin_m"),
-        (dict(origin_m=(0.0, np.inf)), "origin_m"),
-    ],
-)
-def test_a_bad_grid_is_named(bad, name):
-    with pytest.raises(ValueError, match=f"^{name} "):
-        rhec.Terrain(
-            **dict(mu=np.ones((2, 2)), kappa=np.ones((2, 2)), origin_m=(0.0, 0.0), cell_m=1.0) | bad
-        )

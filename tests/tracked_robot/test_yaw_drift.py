@@ -15,7 +15,7 @@ from rhec.core.controller import rhc
 from rhec.tracked_robot import yaw_disturbance
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhc import problem_of_scenario
 
 HORIZON = 8
 TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))
@@ -114,7 +114,7 @@ def test_the_oracle_is_passed_the_drift():
 
 def test_a_known_disturbance_moves_the_command_and_its_bounds():
     """The compensated RHC commands what an RHC that plans with it would, less the disturbance."""
-    horizon = stages_of(HORIZON)
+    horizon = problem_of_scenario(rhec.Scenario(prediction_horizon=HORIZON)).stages
     plain = rhc.build_phases(horizon)["step"]
     move, take_off = yaw_disturbance.moved_bounds(), yaw_disturbance.taken_off()
     pose, p = np.array([0.0, 0.05, 0.0]), np.array([0.5, 0.9, 0.8])
@@ -228,18 +228,6 @@ def test_without_the_yaw_drift_there_is_no_disturbance():
 def test_the_estimate_shows_its_drift():
     shown = repr(rhec.RHE(horizon=2, yaw_drift=True).step((0.0, 0.0, 0.5, 0.0)))
     assert re.search(r"kappa: 1 ± 0.25\n    yaw_drift_radpm: 0 ± 0.05$", shown), shown
-
-
-@pytest.mark.parametrize("made", [rhec.RHE, rhec.Scenario])
-def test_tracks_that_slip_have_no_yaw_drift(made):
-    expected = "^speed_model was 'slipping'; with yaw_drift it should be one of"
-    with pytest.raises(ValueError, match=expected):
-        made(yaw_drift=True, speed_model="slipping")
-
-
-def test_only_an_rhe_has_the_option():
-    with pytest.raises(ValueError, match="^yaw_drift was True; for the estimator 'ekf' it should"):
-        rhec.Scenario(yaw_drift=True, estimator="ekf")
 
 
 # In a replay
