@@ -17,6 +17,8 @@ def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
     assert row["mean_error_from_start_m"] == runs["Q2"].metrics["mean_error_from_start_m"]
     shown = tables.readable(scenario_tables.scenario_a_table(sweep))
     assert list(shown.columns) == [*runs, "Q1 / Q3", "Q2 / Q3"] and len(shown) == 6
+    words = " ".join(shown.to_numpy().ravel())
+    assert "nan" not in words and "()" not in words  # nor has a number without a verdict a word
 
 
 def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
