@@ -215,6 +215,11 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
 
 
+def test_of_two_numbers_every_other_resample_has_an_interval():
+    """Whichever differ; of equal ones the interval has no length."""
+    assert statistics.coverage(np.mean, [0.0, 1.0]) == pytest.approx(0.5, abs=0.03)
+
+
 def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
     expected = stats.ttest_1samp(NORMAL, 0.1)
     found = statistics.mean(NORMAL, above=0.1)

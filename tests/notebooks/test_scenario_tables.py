@@ -21,6 +21,19 @@ def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
     assert "nan" not in words and "()" not in words  # nor has a number without a verdict a word
 
 
+def test_a_readable_table_has_a_column_a_variant_and_the_papers_after_them():
+    names = ["process_noise", "estimator", "quantity", "mean", "low", "high", "paper", "verdict"]
+    rows = [("printed", "RHE", "error", 0.04, 0.03, 0.05, 0.0423, "met")]
+    rows += [("printed", "EKF", "error", 1.0, 0.9, 1.1, 0.0514, np.nan)]
+    (row,) = tables.readable(pd.DataFrame(rows, columns=names)).to_dict("records")
+    assert row == {
+        "printed, RHE": "0.0400 [0.0300, 0.0500] (met)",
+        "printed, EKF": "1.00 [0.900, 1.10]",
+        "paper, RHE": "0.0423",
+        "paper, EKF": "0.0514",
+    }
+
+
 def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
     sweep, runs = scenario_tables.scenario_b(2, 1, beside=1, turns="right", **SHORT)
     driven = set(zip(sweep["turns"], sweep["process_noise"], sweep["estimator"]))
