@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark import peers
 from notebooks.studies.timing import PHASES
 from rhec import paper
 
 ITERATIONS = 30
+SHARE = 10  # problems in a block, which takes less time than a process gets at once
 NAMES = {"step by step": "acados in C, step by step", "as it comes": "acados in C"}
 _OWN_PYTHON = Path(__file__).parents[1] / ".venv" / "acados" / "bin" / "python"
 
@@ -31,26 +31,38 @@ def command():
 class Acados:
     """Solvers of both problems, chosen and built for these problems in a folder of their own."""
 
-    def __init__(self, recorded, tolerance):
+    def __init__(self, case, recorded, tolerance):
         python, self._environment = command()
         self._folder, self._count = tempfile.TemporaryDirectory(), len(recorded)
         data = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
-        data |= dict(dt_s=paper.DT_S, weights=peers.WEIGHTS, Q=peers.Q, QN=peers.QN, R=paper.R)
+        bounds = list(case.model.parameters.values())
+        bounded = [i for i, pair in enumerate(bounds) if pair]
+        data |= dict(system=case.system, measured=case.measured, dt_s=paper.DT_S)
+        data |= dict(weights=1 / np.square(case.sigma_v), q=case.q, qn_factor=case.qn_factor)
+        data |= dict(r=case.r, u_max=case.u_max, bounds=[bounds[i] for i in bounded])
+        data["bounded"] = np.array(bounded) + len(case.model.states)
         path = Path(self._folder.name, "problems.npz")
-        np.savez(path, omega_max=paper.OMEGA_MAX_RADPS, tolerance=tolerance, **data)
+        np.savez(path, tolerance=tolerance, **data)
         script = Path(__file__).with_name("acados_solver.py")
         self._command = [python, script, path, self._folder.name]
         self._process = self._start(self._command)
         self.ways, self.chosen = self._hear(self._process)
 
     def _start(self, command):
-        return subprocess.Popen(
-            command, env=self._environment, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        self._complaints = Path(self._folder.name, "complaints.txt")
+        with self._complaints.open("w") as complaints:
+            return subprocess.Popen(
+                command, env=self._environment, text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints,
+            )  # fmt: skip
 
     def _hear(self, process):
-        return json.loads(process.stdout.readline())
+        """Its next answer; RuntimeError with its last line if it has ended."""
+        answer = process.stdout.readline()
+        if answer:
+            return json.loads(answer)
+        last = self._complaints.read_text().strip().splitlines()[-1:]
+        raise RuntimeError(f"acados ended: {' '.join(last)}")
 
     def _ask(self, **question):
         print(json.dumps(question), file=self._process.stdin, flush=True)
@@ -62,10 +74,12 @@ class Acados:
         return [tuple(map(np.array, pair)) for pair in found]
 
     def block(self, way):
-        """A contestant's block: one real-time iteration of each problem."""
+        """A contestant's block: one real-time iteration of each of some problems."""
 
-        def times(_):
-            rhe, rhc = self._ask(way=way, begin=0, end=self._count)
+        def times(number):
+            begin = number * SHARE % self._count
+            end = min(begin + SHARE, self._count)
+            rhe, rhc = self._ask(way=way, begin=begin, end=end)
             return dict(zip(PHASES, (*rhe, *rhc)))
 
         return times

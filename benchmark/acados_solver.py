@@ -21,6 +21,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmark import models
+
 try:
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
@@ -44,49 +47,50 @@ BUILDS = (
         dict(qp_solver="FULL_CONDENSING_HPIPM", hpipm_mode=mode)
         for mode in ("SPEED_ABS", "SPEED", "BALANCE")
     ),
-    dict(qp_solver="PARTIAL_CONDENSING_HPIPM", hpipm_mode="SPEED_ABS", qp_solver_cond_N=3),
+    *(
+        dict(qp_solver="PARTIAL_CONDENSING_HPIPM", hpipm_mode="SPEED_ABS", qp_solver_cond_N=blocks)
+        for blocks in (3, 10, 40)
+    ),
 )
+MOST_CONDENSED = 60  # intervals; with more a condensed problem takes too long to be tried
 WARM_STARTS, QP_TOLERANCES = (0, 1, 2, 3), (1e-6, 1e-8, 1e-10)
 TOLERANCES = ("qp_tol_stat", "qp_tol_eq", "qp_tol_ineq", "qp_tol_comp")
-SOME, ITERATIONS, ROUNDS, FINALISTS = 100, 30, 10, 8
-POSE_SPEED = np.eye(6)[[0, 1, 3]]  # of s = (x, y, θ, ν, μ, κ)
+SOME, ITERATIONS, ROUNDS, FINALISTS = 20, 30, 5, 6
 
 
-def runge_kutta(f, s, u, dt_s):
-    k1 = f(s, u)
-    k2 = f(s + dt_s / 2 * k1, u)
-    k3 = f(s + dt_s / 2 * k2, u)
-    k4 = f(s + dt_s * k3, u)
-    return s + dt_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+class System:
+    """The case that the problems are of, read from their data."""
 
+    def __init__(self, data):
+        self.n_x, self.N = data["x_ref"].shape[1], data["u_ref"].shape[-1]
+        self.n_s = data["m"].shape[1]
+        self.C = np.eye(self.n_s)[data["measured"]]
+        self.V = np.diag(data["weights"])
+        f = models.SYSTEMS[str(data["system"])]
+        self.s, self.u = ca.SX.sym("s", self.n_s), ca.SX.sym("u")
+        x, p = self.s[: self.n_x], self.s[self.n_x :]
+        after = models.runge_kutta(f, x, self.u, p, float(data["dt_s"]))
+        self.next = ca.vertcat(after, p)
 
-def track_motion(s, omega):
-    forward = s[4] * s[3]
-    return ca.vertcat(
-        forward * ca.cos(s[2]), forward * ca.sin(s[2]), s[5] * omega, ca.SX.zeros(3, 1)
-    )
-
-
-def problem(name, data, build):
-    """What both have in common: the robot, the horizon, real-time iterations."""
-    ocp, model = AcadosOcp(), AcadosModel()
-    s, omega = ca.SX.sym("s", 6), ca.SX.sym("omega")
-    model.name, model.x, model.u = name, s, omega
-    model.disc_dyn_expr = runge_kutta(track_motion, s, omega, float(data["dt_s"]))
-    ocp.model, ocp.dims.N = model, len(data["omega_ref"][0])
-    options = ocp.solver_options
-    options.integrator_type, options.nlp_solver_type = "DISCRETE", "SQP_RTI"
-    options.hessian_approx = "GAUSS_NEWTON"
-    options.tf = float(ocp.dims.N)  # costs are weighted by the length of a step: 1
-    for name, value in build.items():
-        setattr(options, name, value)
-    cost = ocp.cost
-    cost.cost_type = cost.cost_type_0 = cost.cost_type_e = "LINEAR_LS"
-    return ocp
+    def problem(self, name, build):
+        """What both have in common: the system, the horizon, real-time iterations."""
+        ocp, model = AcadosOcp(), AcadosModel()
+        model.name, model.x, model.u = name, self.s, self.u
+        model.disc_dyn_expr = self.next
+        ocp.model, ocp.dims.N = model, self.N
+        options = ocp.solver_options
+        options.integrator_type, options.nlp_solver_type = "DISCRETE", "SQP_RTI"
+        options.hessian_approx = "GAUSS_NEWTON"
+        options.tf = float(self.N)  # costs are weighted by the length of a step: 1
+        for name, value in build.items():
+            setattr(options, name, value)
+        cost = ocp.cost
+        cost.cost_type = cost.cost_type_0 = cost.cost_type_e = "LINEAR_LS"
+        return ocp
 
 
 def least_squares(ocp, stage, Vx, Vu, W):
-    """½ ‖Vx s + Vu ω - yref‖² by W, of the stages "_0", "" or "_e"."""
+    """½ ‖Vx s + Vu u - yref‖² by W, of the stages "_0", "" or "_e"."""
     cost = ocp.cost
     setattr(cost, f"Vx{stage}", Vx)
     if stage != "_e":
@@ -100,42 +104,47 @@ def least_squares(ocp, stage, Vx, Vu, W):
 
 
 def estimation(data, build):
-    """Measurement i + 1 belongs to node i + 1 and, as its yaw rate, to interval i."""
-    ocp, weights = problem("rhe", data, build), np.diag(data["weights"])
-    first = np.vstack([np.eye(6), POSE_SPEED, np.zeros(6)])
-    least_squares(ocp, "_0", first, [0] * 9 + [1], np.eye(10))
-    least_squares(ocp, "", np.vstack([POSE_SPEED, np.zeros(6)]), [0, 0, 0, 1], weights)
-    least_squares(ocp, "_e", POSE_SPEED, [], weights[:3, :3])
+    """Measurement i + 1 belongs to node i + 1 and, as its input, to interval i."""
+    system = System(data)
+    ocp, n_s, N = system.problem("rhe", build), system.n_s, system.N
+    C, V = system.C, system.V
+    n_y = len(C)
+    nothing = np.zeros(n_s)
+    first = np.vstack([np.eye(n_s), C, nothing])
+    least_squares(ocp, "_0", first, [0] * (n_s + n_y) + [1], np.eye(n_s + n_y + 1))
+    least_squares(ocp, "", np.vstack([C, nothing]), [0] * n_y + [1], V)
+    least_squares(ocp, "_e", C, [], V[:n_y, :n_y])
     bounds = ocp.constraints
-    bounds.idxbx_e, bounds.lbx_e, bounds.ubx_e = np.array([4, 5]), np.zeros(2), np.ones(2)
+    bounds.idxbx_e, (bounds.lbx_e, bounds.ubx_e) = data["bounded"], data["bounds"].T
 
-    z, m, N = data["z"], data["m"], ocp.dims.N
-    W = np.zeros((len(z), 10, 10))
-    W[:, :6, :6], W[:, 6:, 6:] = data["H"], weights
-    given = [(0, "W", W), (0, "yref", np.hstack([m, z[:, :3, 0], z[:, 3:, 1]]))]
-    given += [(i, "yref", np.hstack([z[:, :3, i], z[:, 3:, i + 1]])) for i in range(1, N)]
-    return ocp, [*given, (N, "yref", z[:, :3, N])], lambda solver: solver.get(N, "x")
+    z, m = data["z"], data["m"]
+    W = np.zeros((len(z), n_s + n_y + 1, n_s + n_y + 1))
+    W[:, :n_s, :n_s], W[:, n_s:, n_s:] = data["H"], V
+    given = [(0, "W", W), (0, "yref", np.hstack([m, z[:, :n_y, 0], z[:, n_y:, 1]]))]
+    given += [(i, "yref", np.hstack([z[:, :n_y, i], z[:, n_y:, i + 1]])) for i in range(1, N)]
+    return ocp, [*given, (N, "yref", z[:, :n_y, N])], lambda solver: solver.get(N, "x")
 
 
 def control(data, build):
-    ocp, N = problem("rhc", data, build), len(data["omega_ref"][0])
-    pose, Q, R = np.eye(6)[:3], data["Q"], float(data["R"])
+    system = System(data)
+    ocp, n_x, N = system.problem("rhc", build), system.n_x, system.N
+    state, Q, R = np.eye(system.n_s)[:n_x], np.diag(data["q"]), float(data["r"])
     for stage in ("_0", ""):
-        W = np.diag([*np.diag(Q), R])
-        least_squares(ocp, stage, np.vstack([pose, np.zeros(6)]), [0, 0, 0, 1], W)
-    least_squares(ocp, "_e", pose, [], data["QN"])
-    bounds, most = ocp.constraints, float(data["omega_max"])
+        W = np.diag([*data["q"], R])
+        least_squares(ocp, stage, np.vstack([state, np.zeros(system.n_s)]), [0] * n_x + [1], W)
+    least_squares(ocp, "_e", state, [], float(data["qn_factor"]) * Q)
+    bounds, most = ocp.constraints, float(data["u_max"])
     bounds.x0 = data["estimate"][0]
     bounds.idxbu, bounds.lbu, bounds.ubu = np.array([0]), np.array([-most]), np.array([most])
 
-    xi_ref, omega_ref = data["xi_ref"], data["omega_ref"]
+    x_ref, u_ref = data["x_ref"], data["u_ref"][:, 0]
     given = [(0, field, data["estimate"]) for field in ("lbx", "ubx")]
-    given += [(i, "yref", np.hstack([xi_ref[:, :, i], omega_ref[:, [i]]])) for i in range(N)]
-    given += [(N, "yref", xi_ref[:, :, N])]
+    given += [(i, "yref", np.hstack([x_ref[:, :, i], u_ref[:, [i]]])) for i in range(N)]
+    given += [(N, "yref", x_ref[:, :, N])]
     return ocp, given, lambda solver: np.array([solver.get(i, "u")[0] for i in range(N)])
 
 
-PROBLEMS = {"estimate": estimation, "omega_plan": control}  # by the name of the answer
+PROBLEMS = {"estimate": estimation, "plan": control}  # by the name of the answer
 
 
 def compiled_driver(folder):
@@ -231,11 +240,16 @@ def fastest(answer, data, folder, driver):
     library, found, end = ctypes.CDLL(str(ACADOS / "lib" / "libacados.so")), [], len(data[answer])
     some = min(SOME, end)
 
-    def took(contestant, options):
+    def took(contestant, options, count):
         contestant.use(options)
-        return contestant.run(list(contestant.ways)[-1], 0, end).sum()
+        return contestant.run(list(contestant.ways)[-1], 0, count).sum()
 
+    intervals = data["u_ref"].shape[-1]
     for build in BUILDS:
+        if build.get("qp_solver_cond_N", 0) > intervals:
+            continue
+        if "FULL" in build["qp_solver"] and intervals > MOST_CONDENSED:
+            continue
         if "DAQP" in build["qp_solver"] and not hasattr(library, "dense_qp_daqp"):
             continue
         contestant = Contestant(answer, data, build, folder, driver)
@@ -244,10 +258,12 @@ def fastest(answer, data, folder, driver):
             with contextlib.suppress(RuntimeError):  # acados failed
                 answers = contestant.answers(list(contestant.ways)[-1], 0, some, ITERATIONS)
                 if np.abs(answers - data[answer][:some]).max() <= data["tolerance"] / 10:
-                    us = min(took(contestant, options) for _ in range(ROUNDS))
+                    us = min(took(contestant, options, some) for _ in range(ROUNDS))
                     found.append((us, build, contestant, options))
     best = sorted(found, key=lambda each: each[0])[:FINALISTS]
-    rounds = [[took(*each[2:]) for each in best] for _ in range(ROUNDS)]
+    if not best:
+        raise SystemExit(f"no setting of its QP solvers found the answers of {answer}")
+    rounds = [[took(*each[2:], end) for each in best] for _ in range(ROUNDS)]
     _, build, _, options = best[np.argmin(np.min(rounds, axis=0))]
     return build, options
 

@@ -22,18 +22,23 @@ from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.simulation.scenario import Scenario
 
-RHEC = {  # the compiled Functions that a phase calls
-    ("RHE", "preparation"): ("rhe_expand", "rhe_shift", "rhe_linearise"),
-    ("RHE", "feedback"): ("rhe_feedback",),
-    ("RHC", "preparation"): ("rhc_expand", "rhc_shift", "rhc_linearise"),
-    ("RHC", "feedback"): ("rhc_feedback",),
-}
 IN_C, CLOSED_LOOP = "rhec, in C", "rhec, closed loop"
 BEFORE, COUNTED = 5, 10  # problems that a peer solves before it is counted, and then
 
 
 def available():
     return shutil.which("valgrind") and Path("/usr/include/valgrind/callgrind.h").exists()
+
+
+def compiled_names():
+    """The names of the compiled Functions that a phase of rhec calls, {(problem, phase): names}."""
+    case = problems.papers_case()
+    names = {}
+    for problem, live in zip(("RHE", "RHC"), case.live((0.0, 0.0, 0.0, 0.5, 1.0, 1.0))):
+        phases = {name: each.function.name() for name, each in live.iteration.phases.items()}
+        names[problem, "preparation"] = [phases[n] for n in ("expand", "shift", "linearise")]
+        names[problem, "feedback"] = [phases["feedback"]]
+    return names
 
 
 def drive():
@@ -48,10 +53,11 @@ def count(library):
     counting.begin()
     drive()
     counting.end(b"rhec")
-    recorded = problems.record(problems.drive(BEFORE + COUNTED))
+    loop = problems.robot(problems.PAPERS_SIZE[0], BEFORE + COUNTED)
+    recorded = problems.record(loop)
     for name, makers in peers.PEERS.items():
         for problem, make in zip(("RHE", "RHC"), makers):
-            solve = make(recorded[0])
+            solve = make(loop.case, recorded[0])
             for each in recorded[:BEFORE]:
                 solve(each)
             counting.begin()
@@ -107,7 +113,9 @@ def measure(acados=None):
         profiles = below_callgrind(folder, [sys.executable, "-c", script])
         cost = per_call(profiles.pop("rhec"))
         counts = {
-            IN_C: {key: sum(cost[name] for name in names) for key, names in RHEC.items()},
+            IN_C: {
+                key: sum(cost[name] for name in names) for key, names in compiled_names().items()
+            },
             CLOSED_LOOP: {("closed loop", "overall"): cost["block"] / runner.BLOCK},
         }
         for what, profile in profiles.items():

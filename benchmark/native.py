@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark import problems
 from notebooks.studies.timing import PHASES
-from rhec import paper
 from rhec.core._casadi import cache, compiled
-from rhec.core.controller import rhc
-from rhec.core.estimator import rhe
 
+_STRUCTURES = ("window", "stages")  # attributes of rhec's estimator and controller
 # As in driver.c.
 _FIELDS = ("phase", "arguments", "results", "whole", "work", "to", "rows", "doubles", "timed")
 
@@ -73,41 +70,43 @@ class Steps:
         return us[: int(rows[:, -1].sum())] / samples
 
 
-def block(run, recorded):
-    """A contestant: all problems of the run, one iteration each, the arrival cost updated."""
-    window, newest = np.split(problems.measured(run), [paper.HORIZON])
-    columns = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
+def structures(loop):
+    """What the Functions of a loop's estimator and controller are built from."""
+    return [getattr(live, name) for live, name in zip(loop.case.live(loop.guess), _STRUCTURES)]
 
-    estimator, controller = problems.live(run)
-    libraries = {
-        type(estimator): _library(rhe.build_phases, estimator.window),
-        type(controller): _library(rhc.build_phases, controller.stages),
-    }
+
+MOST = 60  # problems in a block, which takes less time than a process gets at once
+
+
+def block(loop, recorded):
+    """A contestant: the loop's first problems, one iteration each, the arrival cost updated."""
+    case = loop.case
+    recorded = recorded[:MOST]
+    window, newest = np.split(loop.z[: case.horizon + MOST], [case.horizon])
+    columns = dict(zip(recorded[0]._fields, map(np.array, zip(*recorded))))
+    libraries = [_library(*each) for each in zip(case.builds, structures(loop))]
+    inputs = (
+        dict(z_N=newest),
+        dict(
+            s_0=columns["estimate"],
+            x_ref=columns["x_ref"].transpose(0, 2, 1),
+            u_ref=columns["u_ref"].transpose(0, 2, 1),
+        ),
+    )
 
     def times(_):
-        estimator, controller = problems.live(run)
+        estimator, controller = case.live(loop.guess)
         for z in window:
             estimator.prepare()
             estimator.feedback(z)
         first = recorded[0]
-        controller.feedback(first.estimate[:3], first.estimate[3:], first.xi_ref, first.omega_ref)
+        case.command(controller.feedback, first.estimate, first.x_ref, first.u_ref)
         steps = Steps()
-        for live, inputs in (
-            (estimator, dict(z_N=newest)),
-            (
-                controller,
-                dict(
-                    s_0=columns["estimate"],
-                    x_ref=columns["xi_ref"].transpose(0, 2, 1),
-                    u_ref=columns["omega_ref"],
-                ),
-            ),
-        ):
+        for live, library, given in zip((estimator, controller), libraries, inputs):
             iteration = live.iteration
-            library = libraries[type(live)]
             for phase in ("expand", "shift", "linearise"):
                 steps.call(library, iteration.phases[phase], timed=phase == "linearise")
-            for name, rows in inputs.items():
+            for name, rows in given.items():
                 steps.copy(rows, iteration.arrays[name])
             steps.call(library, iteration.phases["feedback"], timed=True)
         return dict(zip(PHASES, steps.run(len(recorded))))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rhec.embedded import export as export
     from rhec.explorer.explorer import Explorer as Explorer
     from rhec.logs.calibration import calibrate as calibrate
-    from rhec.logs.doctor import doctor as doctor
+    from rhec.logs.checks import doctor as doctor
     from rhec.logs.replay import replay as replay
     from rhec.logs.summary import log as log
     from rhec.simulation.campaigns.campaign import campaign as campaign
@@ -60,7 +60,7 @@ _HOME = {
     "WORLDS": "simulation.worlds",
     "calibrate": "logs.calibration",
     "campaign": "simulation.campaigns.campaign",
-    "doctor": "logs.doctor",
+    "doctor": "logs.checks",
     "export": "embedded",
     "log": "logs.summary",
     "logs": "logs",  # a module, shown whole

@@ -107,9 +107,9 @@ def _app(words):
         suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
-    for command, options_of in _COMMANDS.items():
+    for place, (command, options_of) in enumerate(_COMMANDS.items()):
         is_needed = command.__name__ in words[:1] or _INSTALL_COMPLETION in words
-        app.command(_with(command, options_of()) if is_needed else command)
+        app.command(_with(command, options_of()) if is_needed else command, sort_key=place)
     app.register_install_completion_command(_INSTALL_COMPLETION)
     return app
 
@@ -136,10 +136,11 @@ def _keywords(function):
     return {name: each for name, each in parameters.items() if each.kind is each.KEYWORD_ONLY}
 
 
-def _options_of(function, group, skipped=(), with_defaults=True):
+def _options_of(function, group, skipped=(), with_defaults=True, is_shown=lambda name: True):
     """Options for what is passed to a function by its name, with the texts of its docstring.
 
     group: Of all options, or a function from a name to the group.
+    is_shown: Whether the help has an option of this name; without, it is taken all the same.
     """
     texts = {
         each.arg_name: each.description for each in docstring_parser.parse(function.__doc__).params
@@ -148,11 +149,12 @@ def _options_of(function, group, skipped=(), with_defaults=True):
     for name, each in _keywords(function).items():
         if name in skipped:
             continue
-        is_shown = with_defaults and each.default not in (None, ())
+        has_default = with_defaults and each.default not in (None, ())
         look = Parameter(
             help=" ".join(texts[name].split()),
             group=group(name) if callable(group) else group,
-            show_default=_shown if is_shown else False,
+            show_default=_shown if has_default else False,
+            show=is_shown(name),
             choices=_choices_of(each.annotation),
             show_choices=False,  # the text names them
         )
@@ -209,6 +211,14 @@ def _group_of(field):
 
     group = fields_of(rhec.Scenario)[field].group
     return Group(group, sort_key=groups_of(rhec.Scenario).index(group) + 2)
+
+
+def _is_in_code(field):
+    """Whether a parameter of a Scenario changes what is exported, and not its example log alone."""
+    return field in ("sensors", "track_width_m") or _group_of(field).name not in (
+        "the soil",
+        "the sensors",
+    )
 
 
 def _scenario_of(world, fields):
@@ -473,11 +483,11 @@ def lab():
     return open_lab(options)
 
 
-# Each command, and what makes its further options.
+# Each command, in the order of use, and what makes its further options.
 _COMMANDS = {
+    lab: list,
+    log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
     simulate: _fields,
     campaign: list,
-    log: lambda: [*_reading(), *_options_of(rhec.log, _ROBOT)],
-    export: _fields,
-    lab: list,
+    export: lambda: _options_of(rhec.Scenario, _group_of, _OBJECTS, is_shown=_is_in_code),
 }

@@ -2,7 +2,8 @@
 
     python -m docs.site.check_figures
 
-It fails if one differs, and says where. Tables of computation times are not among them. A table
+It fails if one differs, and says where. Tables of computation times, which `make bench` leaves in
+data/results/benchmark/, are not among them. A table
 that a notebook has made with other parameters is of another world, and is compared with nothing.
 """
 

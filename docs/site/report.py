@@ -55,7 +55,7 @@ _BELOW = {
     "claims": ("docs/claims", "docs/interpretations", "docs/world", "docs/acado"),
     "figures": ("notebooks/0[2-9]*", "notebooks/further/*"),
     "docs/your_log": ("docs/log_columns", "docs/recorded_robots"),
-    "docs/extending": ("docs/campaigns",),
+    "docs/extending": ("docs/campaigns", "docs/performance"),
     "CONTRIBUTING": (
         "docs/architecture",
         "docs/naming",

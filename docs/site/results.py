@@ -10,15 +10,26 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark import tables as benchmark
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
 from notebooks.further import consistency, unknowns
+from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/results.md", "docs/claims.md", "docs/interpretations.md")
+PAGES = (
+    "README.md",
+    "docs/results.md",
+    "docs/worth.md",
+    "docs/claims.md",
+    "docs/interpretations.md",
+    "docs/performance.md",
+    "docs/recorded_robots.md",
+    "docs/systems.md",
+)
 
 
 def _table(name, **options):
@@ -51,7 +62,9 @@ BLOCKS = {
     "noises": lambda: answer.to_markdown(calibration.readable_noises()),
     "consistency": _consistency,
     "worth": unknowns.in_words,
-}
+    "take": unknowns.in_short,
+    **{f"recorded_{name}": block for name, block in recorded.BLOCKS.items()},
+} | benchmark.BLOCKS
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 

@@ -43,7 +43,7 @@ def _report_lines(id_, fields):
         ValueError: If there is no such claim, or fewer than 2 fields.
     """
     if id_ not in CLAIMS:
-        raise ValueError(f"claim was {id_!r}; it should be one of {', '.join(CLAIMS)}")
+        raise ValueError(f"claim was {id_!r}; `make claim` without an ID lists those there are")
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")
     claim = CLAIMS[id_]
@@ -93,7 +93,7 @@ def main(arguments=None):
         print("\n".join(_listed()))
         return
     try:
-        for line in _report_lines(given.id, given.fields):
+        for line in _report_lines(given.id.upper(), given.fields):
             print(line, flush=True)
     except ValueError as error:
         parser.exit(2, f"{error}\n")

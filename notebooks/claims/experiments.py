@@ -219,7 +219,7 @@ def _distances_from_converged(scenario, problems, commands):
     # Two controllers, since each starts from its previous plan.
     exact = rhec.RHC(q=scenario.q, r=scenario.r)
     unprepared = rhec.RHC(q=scenario.q, r=scenario.r)
-    stages = paper_rhc.stages_of(scenario.prediction_horizon)
+    stages = paper_rhc.problem_of_scenario(scenario).stages
     guess = set_up(scenario).guess
     cold = []
     converged = []

@@ -26,11 +26,10 @@ class LiveRobot:
 
     def __init__(self, scenario):
         self.world = world_of(scenario)
-        before, after = (tuple(make(scenario, self.world)) for make in (measuring, moving))
-        self._measure, self._move = (
-            BufferedFunction(_joined(tuple(part.block for part in parts)))
-            for parts in (before, after)
-        )
+        before = tuple(measuring(scenario, self.world))
+        after = tuple(moving(scenario, self.world))
+        self._measure = BufferedFunction(_joined(tuple(part.block for part in before)))
+        self._move = BufferedFunction(_joined(tuple(part.block for part in after)))
         parts = *before, *after
         settings = blocks.brought(parts, "settings")
         samples = round(scenario.duration_s / paper.DT_S)
@@ -39,8 +38,8 @@ class LiveRobot:
             for name, draw in blocks.brought(parts, "streams").items()
         }
         self._samples = samples
-        for call in (self._measure, self._move):
-            call.set(**{name: settings[name] for name in call.arguments.keys() & settings.keys()})
+        _set(self._measure, settings)
+        _set(self._move, settings)
         self._signals = dict(command=0.0) | blocks.brought(parts, "first")
 
     def __iter__(self):
@@ -58,10 +57,14 @@ class LiveRobot:
 
     def _call(self, call):
         """Evaluate blocks on the signals, and write theirs."""
-        known = call.arguments.keys() & self._signals.keys()
-        call.set(**{name: self._signals[name] for name in known})
+        _set(call, self._signals)
         call.call()
         self._signals |= {name: result.copy() for name, result in call.results.items()}
+
+
+def _set(call, values):
+    """Give a call those of these values, {argument: value}, that it has an argument for."""
+    call.set(**{name: values[name] for name in call.arguments.keys() & values.keys()})
 
 
 @functools.cache

@@ -8,9 +8,9 @@ geometric mean of their results. The RHE's numbers are those of `rhec.calibrate`
 with five parameters of centres of rotation, whose noise has the form of the RHE's. They are tuned
 by the likelihood of their innovations, with the same number of evaluations for each unknown.
 
-    python -m notebooks.further.transfer [FOLDER [SEEDS]]
+    python -m notebooks.further.transfer [SEEDS]
 
-prints the table of docs/recorded_robots.md, from the logs in data/recordings, which
+makes the table of docs/recorded_robots.md in an hour, from the logs in data/recordings, which
 `python data/fetch_recordings.py` fetches.
 """
 
@@ -22,9 +22,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from notebooks.further.recorded import rivals, scores
+from notebooks.further.recorded import page, rivals, scores
 from notebooks.studies.statistics import over_seeds
-from notebooks.studies.tables import interval_text
 from rhec import paper
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare
@@ -33,8 +32,8 @@ from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
 from rhec.tracked_robot import slipping
 from rhec.tracked_robot.kinematics import QUANTITIES
 
-_NOISE_M = 0.02  # on recorded positions
-_YAW_ERROR_RAD = 0.3  # of the first yaw
+NOISE_M = 0.02  # on recorded positions
+YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
 # The search of a rival's standard deviations: between these, from here, for each unknown.
@@ -62,18 +61,13 @@ def _noisy(log, seed):
     # Recordings are faster than 5 Hz; every n-th sample is taken, as a 5 Hz receiver gives it.
     every = max(round(paper.DT_S / log["t_s"].diff().median()), 1)
     log = log.iloc[::every].reset_index(drop=True)
-    x, y = _NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
+    x, y = NOISE_M * np.random.default_rng(seed).standard_normal((2, len(log)))
     return log.assign(x_m=log["x_m"] + x, y_m=log["y_m"] + y)
-
-
-def _aligned(log):
-    """A log whose true yaw is the direction in which its robot drives."""
-    return log.assign(yaw_true_rad=log["yaw_true_rad"] + scores.mounting_angle_rad(log))
 
 
 def _rhe(log, fields, smooth):
     """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
-    options = dict(noise_m=0.0, yaw_error_rad=_YAW_ERROR_RAD, trust_log=True, smooth=smooth)
+    options = dict(noise_m=0.0, yaw_error_rad=YAW_ERROR_RAD, trust_log=True, smooth=smooth)
     samples = scores.perturbed_replay(log, 0, **options, **fields)
     predict = predictor(_SLIPPING, (*QUANTITIES, *slipping.LEVER_ARM))
     return samples, scores.ahead_rms_m(samples, predict, [*ESTIMATE, *LEVER_ARM])
@@ -98,7 +92,7 @@ def _settings(title, half_m, sigma):
 
 def _filtered(title, half_m, part, sigma):
     """Samples of a rival on one segment."""
-    yaw_rad = part["theta_rad"].iloc[0] + _YAW_ERROR_RAD
+    yaw_rad = part["theta_rad"].iloc[0] + YAW_ERROR_RAD
     settings = _settings(title, half_m, sigma)
     return rivals.run(rivals.RIVALS[title], settings, part, half_m, yaw_rad)
 
@@ -198,7 +192,7 @@ def trials_with_gyro(logs, seeds):
     rows = []
     for name, log in logs.items():
         if {*_SENSORS} & {*log}:
-            log = _aligned(log)
+            log = page.aligned(log)
             fields = dict(itself=dict(calibrate(_noisy(log, _TUNING_SEED))), shipped={})
             for seed in seeds:
                 rows += _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
@@ -224,7 +218,8 @@ def trials(logs, seeds):
     The table has one row for each log, estimator, way of tuning and noise seed.
     """
     logs = {
-        name: _aligned(log.drop(columns=_SENSORS, errors="ignore")) for name, log in logs.items()
+        name: page.aligned(log.drop(columns=_SENSORS, errors="ignore"))
+        for name, log in logs.items()
     }
     training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
     numbers = {name: dict(calibrate(log)) for name, log in training.items()}
@@ -249,26 +244,37 @@ def table(rows):
     return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
 
 
-def _markdown(means):
-    """The table as text."""
-    lines = [["log", "estimator", "tuned on", *_SCORES.values()]]
-    lines.append(["---"] * len(lines[0]))
-    for about, cells in means.iterrows():
-        lines.append([*about, *(interval_text(c.mean, c.low, c.high) for c in cells)])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+def of_the_page(rows):
+    """Means of `trials` that docs/recorded_robots.md shows, without intervals in cells.
+
+    Where a calibration kept the defaults, its row says nothing and is left out.
+    """
+    means = table(rows)
+    lines = []
+    for (log, estimator, tuned), cells in means.iterrows():
+        error = cells["yaw_rms_rad"]
+        shipped = (log, estimator, "shipped")
+        is_compared = tuned == "itself" and shipped in means.index
+        if is_compared and means.loc[shipped, "yaw_rms_rad"] == error:
+            continue
+        about = dict(log=log, estimator=estimator, tuned=tuned)
+        about |= dict(yaw_rms_rad=error.mean, low=error.low, high=error.high)
+        shares = {name: cells[name].mean for name in ("inside_95", "bad_unsure", "good_unsure")}
+        lines.append(about | shares)
+    return pd.DataFrame(lines)
 
 
 if __name__ == "__main__":
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "data/recordings")
-    files = sorted(folder.glob("*.csv"))
-    n = int(sys.argv[2]) if len(sys.argv) > 2 else 20
-    if len(files) < 2:
-        expected = "it should have two or more: python data/fetch_recordings.py fetches four"
-        sys.exit(f"{folder} has {len(files)} logs; {expected}")
-    logs = {file.stem: pd.read_csv(file) for file in files}
+    n = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    logs = page.read_logs()
+    if len(logs) < len(page.LOGS):
+        sys.exit(
+            f"{len(logs)} of {len(page.LOGS)} logs: python data/fetch_recordings.py fetches them"
+        )
     result = pd.concat([trials(logs, range(n)), trials_with_gyro(logs, range(n))])
     out = Path("build/replay")
     out.mkdir(parents=True, exist_ok=True)
     result.to_csv(out / "transfer.csv", index=False)
-    print(f"n = {n} noise seeds, mean and 95 % interval; all trials: {out / 'transfer.csv'}\n")
-    print(_markdown(table(result)))
+    page.save("yaw", of_the_page(result), "Errors of the yaw on recorded robots")
+    print(f"n = {n} noise seeds; all trials: {out / 'transfer.csv'}\n")
+    print(of_the_page(result).to_string())

@@ -244,6 +244,31 @@ def in_words(table=None, by_rule=None, worth_map=None):
     return f"{words}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
 
 
+def in_short(table=None, worth_map=None):
+    """When to estimate what, in three sentences.
+
+    Args:
+        table: Of `worth_table`; None: that of this commit.
+        worth_map: Of `traction_map.worth_map`; None: that of this commit.
+    """
+    if table is None:
+        table = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
+    if worth_map is None:
+        worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
+    worlds = drivable(table)
+    worth = {
+        name: _ratios(table, what, AS_PRINTED, worlds)["mean"] for name, what in BESIDE.items()
+    }
+    first = min(worth, key=lambda name: np.log(worth[name]).mean())
+    _, rule, *_ = traction_map.against_constants(worth_map).split("**")  # the part in bold
+    return (
+        f"Tune the controller's weight R first: it takes {_taken_off(_worth_of_r(table, worlds))} "
+        f"off the mean true error, in {len(worlds)} worlds. Then estimate {first}, by which uneven "
+        f"slip of the tracks turns the robot: that takes off {_taken_off(worth[first])} more. "
+        f"{rule.removesuffix('.')}."
+    )
+
+
 def _by_every_rule(by_rule):
     """What the yaw drift takes off by every rule of W in the default world, in a sentence."""
     rows = by_rule[(by_rule["quantity"] == RATIO) & (by_rule["world"] == DEFAULT)]

@@ -12,7 +12,7 @@ from rhec.core.controller import rhc
 from rhec.core.controller.qp import commanded
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 from rhec.simulation.closed_loop import first_guess
-from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhc import problem_of_scenario
 from rhec.tracked_robot.path import path_of
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
@@ -29,9 +29,10 @@ def controller(scenario, solver):
         scenario: The Scenario that it is for; its own controller does not count.
         solver: "daqp" or "qpoases".
     """
-    stages = stages_of(scenario.prediction_horizon)._replace(qp=Condensed(solver))
+    stages, settings = problem_of_scenario(scenario)
+    stages = stages._replace(qp=Condensed(solver))
     guess = first_guess(scenario, path_of(scenario))
-    memory = pack_array(rhc.init(stages, guess[:3], guess[3:]))
+    memory = pack_array(rhc.init(stages, guess[:3], guess[3:], settings))
     return rhec.Controller(rhc.build_phases(stages)["step"], memory)
 
 

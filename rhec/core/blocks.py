@@ -168,7 +168,7 @@ def sample(blocks, settings, row, others=()):
     Args:
         blocks: Blocks, in the order in which they act.
         settings: Names of the signals that stay the same over a run; those that no block reads are
-            left out.
+            left out. A signal without entries need not be among them.
         row: Signals whose values become a row of the log.
         others: Further signals to return.
 
@@ -190,17 +190,19 @@ def sample(blocks, settings, row, others=()):
         if name not in written:
             raise ValueError(f"no block writes {name!r}, which is remembered")
     constant = {name: shape for name, (shape, _) in outside.items() if name not in memory | stream}
-    for name in constant:
+    # Such as the prices of soft bounds, where there are none.
+    empty = {name: ca.MX(*shape) for name, shape in constant.items() if 0 in shape}
+    symbols = {name: ca.MX.sym(name, *constant[name]) for name in constant if name not in empty}
+    for name in symbols:
         if name not in settings:
             reader = outside[name][1]
             raise ValueError(f"no block before {reader!r} writes {name!r}, and it is no setting")
-    symbols = {name: ca.MX.sym(name, *shape) for name, shape in constant.items()}
     packed = dict(
         memory=ca.MX.sym("memory", packed_size(memory)),
         noise=ca.MX.sym("noise", packed_size(stream)),
     )
     last = unpack(packed["memory"], memory)
-    signals = symbols | unpack(packed["noise"], stream) | last
+    signals = symbols | empty | unpack(packed["noise"], stream) | last
     signals |= {name + _LAST: value for name, value in last.items()}
     signals = wiring.evaluated(parts, signals)
     results = dict(

@@ -88,7 +88,8 @@ def _write(folder, texts):
     """Write files into a folder; all are written before the first one is replaced."""
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as files:
-        for name, text in texts.items():
+        # The stack replaces the last file first: that is to be the first one of `texts`.
+        for name, text in reversed(texts.items()):
             unfinished = files.enter_context(replacing(folder / name))
             unfinished.write(text.encode())
             unfinished.flush()

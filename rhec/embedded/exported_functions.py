@@ -29,7 +29,7 @@ from rhec.tracked_robot import path, yaw_disturbance
 from rhec.tracked_robot.choice import Choice
 from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
-from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhc import problem_of_scenario
 from rhec.tracked_robot.paper_rhe import init as window_init_by_name
 from rhec.tracked_robot.references import build_references
 from rhec.tracked_robot.sensors import records
@@ -104,7 +104,7 @@ def export(scenario, estimator_only=False):
     estimator = estimator_of(choice.estimator)
     settings = setup.settings | dict(length_m=setup.path.length_m)
     del settings["disturbance"]  # here it is a result, of an estimator that has the yaw drift
-    stages = stages_of(scenario.prediction_horizon)
+    stages, of_controller = problem_of_scenario(scenario)
     n_segments = len(setup.path.segments)
     if estimator.build_phases:
         estimate = estimator.build_phases(choice)
@@ -134,7 +134,7 @@ def export(scenario, estimator_only=False):
     def first_plan(estimate):
         pose = estimate[:3]
         speed_and_traction = estimate[3:]
-        return plan_init(stages, pose, speed_and_traction)
+        return plan_init(stages, pose, speed_and_traction, of_controller)
 
     control = build_controller(stages)
     if has_yaw_drift:

@@ -47,16 +47,26 @@ class Selection(NamedTuple):
     tooltip: str
 
 
+def _field(name):
+    """What Scenario says of its parameter of this name."""
+    if name not in _FIELDS:
+        expected = "rhec/simulation/scenario.py should have it"
+        raise ValueError(
+            f"a control was for {name!r}, which is no parameter of Scenario; {expected}"
+        )
+    return _FIELDS[name]
+
+
 def _slider(field, name, low, high, step, kind="real"):
     """The Slider of a parameter."""
-    unit = _FIELDS[field].unit
+    unit = _field(field).unit
     label = f"{name} [{unit}]" if unit else name
-    return Slider(field, label, low, high, step, _FIELDS[field].text, kind)
+    return Slider(field, label, low, high, step, _field(field).text, kind)
 
 
 def _entries(field, symbol, names, low, high, step, kind="real"):
     """One Slider for each entry of a parameter."""
-    tooltip = _FIELDS[field].text
+    tooltip = _field(field).text
     return [
         Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
         for place, name in enumerate(names)
@@ -65,8 +75,11 @@ def _entries(field, symbol, names, low, high, step, kind="real"):
 
 def _selection(field, name, labels):
     """The Selection of a parameter; labels: the names of its choices."""
-    options = tuple(zip(labels, _FIELDS[field].choices, strict=True))
-    return Selection(field, name, options, _FIELDS[field].text)
+    choices = _field(field).choices
+    if len(labels) != len(choices):
+        expected = f"there should be one for each of {choices}"
+        raise ValueError(f"the labels of the control {field!r} were {labels}; {expected}")
+    return Selection(field, name, tuple(zip(labels, choices)), _field(field).text)
 
 
 def _fault(duration_s, **settings):
@@ -143,9 +156,9 @@ _CONTROLS = (
     _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
     _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
     _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
-    Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
+    Selection("sensors", "besides (RHE)", _SENSORS, _field("sensors").text),
     *(_slider(*setting) for sensor in SENSORS.values() for setting in sensor.settings.values()),
-    Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
+    Selection("faults", "fault", _FAULTS, _field("faults").text),
 )
 CONTROLS = {control.key: control for control in _CONTROLS}
 # {title of a tab: its controls}, in the groups of `Scenario.describe`

@@ -5,6 +5,14 @@ predicts each position from earlier positions and from the encoders. Predictions
 addition gave no better values for four robots, and worse values for one of them.
 
 Positions more than `filtering.OUTLIER` standard deviations away count less (Huber's loss).
+
+What else may be true of a log is a table of hypotheses, tried one after the other:
+
+| hypothesis | what changes | it holds if |
+|---|---|---|
+| the positions are late | position_delay_s | the likeliest delay is above 0.1 s and 2 σ |
+| their errors wander | positions 4 s apart count | the noise of these is 1.5 times as large |
+| the defaults predict better | the defaults are kept | hidden positions are 1.05 times as near |
 """
 
 import itertools
@@ -16,8 +24,8 @@ import pandas as pd
 from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.robot_model import Model
-from rhec.logs import filtering, minimum, terms
-from rhec.logs.checks import facts, refuse
+from rhec.logs import filtering, minimum
+from rhec.logs.checks import refuse
 from rhec.logs.filtering import Loss
 from rhec.logs.judge import HIDDEN_S, hidden_errors
 from rhec.logs.likelihood import Z_95, Calibration, Likelihood, Unknown, normal_report
@@ -64,7 +72,7 @@ _LEAST_APART = 40
 _WANDERS = 1.5  # times the noise of all positions
 _DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
 _SMALL_DELAY_S = 0.1  # a smaller one changes no fit
-_LATE_S = 0.1  # a larger one is worth a remark
+_LATE_S = 0.1  # a larger one is made up for
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _OF_SENSORS = tuple(sensor.sigma for sensor in sensors.SENSORS.values())
@@ -156,97 +164,74 @@ def calibrate(
     recording = prepare(log, track_width_m)
     if not trust_log:
         refuse(delayed(recording, position_delay_s))
-    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
-    result = calibrate_recorded(recording, about_arm_m, position_delay_s)
+    result = calibrate_recorded(recording, position_delay_s)
     result.update({name: value for name, value in of_robot.items() if value and name not in result})
     return result
 
 
-def calibrate_recorded(
-    recording: Recording, about_arm_m: tuple[float, float], position_delay_s: float
-) -> Calibration:
+def calibrate_recorded(recording: Recording, position_delay_s: float = 0.0) -> Calibration:
     """The Calibration of a Recording, which has its position_delay_s if there is one.
+
+    The noise is fitted to all positions. Then each of _HYPOTHESES is tried.
 
     Args:
         recording: The Recording, with positions at their time stamps.
-        about_arm_m: First guess of the antenna, ahead and left [m].
-        position_delay_s: Delay of the positions [s]. Where they are clearly later than that, the
-            log is calibrated again with the delay that was found.
+        position_delay_s: Delay of the positions [s], where it is known.
 
     Raises:
         ValueError: For a log that does not determine a calibration.
     """
-    robot = _Robot(
-        width_m=recording.track_width_m,
-        sensors=recording.sensors,
-        about_arm_m=about_arm_m,
-        least_m=declared_m(recording.rows) / _CORRELATED,  # widened, it is the declared one
-    )
-    at_stamps = _usable(recording)
-    recording = delayed(at_stamps, position_delay_s)
+    recording = _usable(recording)
     _refuse_straight(recording)
-    fit, wanders = _search(recording, robot)
-    delay_s, sigma_s = _delay(at_stamps, position_delay_s, fit, robot)
-    later_s = delay_s - position_delay_s
-    is_sure = abs(later_s) > max(_LATE_S, 2 * sigma_s)
-    if is_sure and later_s > 0 and not position_delay_s:
-        found_s = round(delay_s, 2)
-        result = calibrate_recorded(at_stamps, about_arm_m, found_s)
-        result.remarks.insert(
-            0,
-            f"The positions come {delay_s:.2f} ± {Z_95 * sigma_s:.2f} s after the encoder speeds: "
-            f"all of this is with position_delay_s={found_s:g}.",
-        )
-        return result
-    result = _calibration(fit, robot)
-    if position_delay_s:
-        result["position_delay_s"] = position_delay_s
-    samples = _replayed(recording, result, fit.yaws, smooth=True)
-    result.terms = _terms(result, recording, samples, (delay_s, sigma_s))
-    rate_hz = facts(recording)["encoders_hz"]
-    result.yaml = terms.as_yaml(result.terms, robot.width_m, terms.noise(samples), rate_hz)
-    result.remarks = _remarks(result, wanders)
-    if is_sure and later_s < 0:
-        result.remarks.append(
-            f"The encoder speeds seem to come {-later_s:.2f} ± {Z_95 * sigma_s:.2f} s after the "
-            "positions: either they are late, or the robot was steered by its positions, so that "
-            "its speeds answer them. Nothing is to be done."
-        )
-    _keep_better(result, recording, fit.yaws)
+    yaws = _first_yaws(delayed(recording, position_delay_s))
+    log = _Log(recording, yaws, position_delay_s, declared_m(recording.rows))
+    fit = _fitted(log, position_delay_s)
+    log = log._replace(delay=_delay(log, fit))
+    remarks = []
+    for hypothesis in _HYPOTHESES:
+        changed = hypothesis(log, fit)
+        if changed:
+            fit, remark = changed
+            remarks.append(remark)
+    result = Calibration(_arguments(log, fit), _report(log, fit))
+    result.remarks = remarks
     return result
 
 
 # The likelihood of a log of the robot
 
 
-class _Robot(NamedTuple):
-    """What is known of a robot beforehand."""
+class _Log(NamedTuple):
+    """What is to be explained."""
 
-    width_m: float  # track width
-    sensors: tuple  # names of its sensors besides GNSS and encoders
-    about_arm_m: tuple = (0.0, 0.0)  # first guess of the antenna, ahead and left [m]
-    least_m: float = 0.0  # smallest noise of the positions that the receiver leaves possible [m]
+    recording: Recording  # with positions at their time stamps
+    yaws: list  # at the beginning of each segment [rad]
+    known_delay_s: float  # of the positions, 0 where it is not known
+    declared_m: float  # noise of the positions by their receiver, 0 where it declares none
+    delay: tuple = (0.0, np.inf)  # the likeliest one, and its standard deviation [s]
 
 
 class _Fit(NamedTuple):
-    """The likeliest noise of a log, and the initial yaws of its segments."""
+    """The likeliest noise of a log."""
 
+    delay_s: float  # of the positions
     likelihood: Likelihood
     x: np.ndarray
-    yaws: list
+    is_used: bool = True  # or the defaults of `rhec.replay` are
 
 
-def _fields(values, robot):
+def _fields(values, log):
     """The parameters of a Scenario with these values of the unknowns."""
     values = iter(values)
     position, speed, yaw_rate = itertools.islice(values, 3)
-    position = max(position, robot.least_m)
+    # Widened, the noise of the positions is at least that which the receiver declares.
+    position = max(position, log.declared_m / _CORRELATED)
     fields = dict(
         sigma_v=(position, position, speed, yaw_rate),
         sigma_w=tuple(itertools.islice(values, 2)),
         slip=tuple(itertools.islice(values, len(tuning.SLIP))),
     )
-    for sensor in sensors.records(robot.sensors):
+    for sensor in sensors.records(log.recording.sensors):
         found = tuple(itertools.islice(values, len(sensor.noise)))
         fields[sensor.sigma] = found if len(found) > 1 else found[0]
     return fields
@@ -261,23 +246,32 @@ def _unknowns_of_sensors(names):
     ]
 
 
-def _likelihood(segments, yaws, robot):
-    """The Likelihood of segments that begin with these yaws."""
-    model = speed_model_of("slipping", robot.sensors).model
+def _likelihood(log, delay_s, every=1):
+    """The Likelihood of a log.
+
+    Args:
+        log: The _Log.
+        delay_s: Delay of the positions [s].
+        every: Every how many samples a position counts.
+    """
+    recording = log.recording
+    model = speed_model_of("slipping", recording.sensors).model
     sigma = np.array([_SIGMA_FIRST.get(name, _SIGMA_INPUT) for name in model.joint_names])
+    measured = measured_of(recording.sensors)
+    segments = [with_ages(part, measured) for part in delayed(recording, delay_s).samples()]
     firsts = []
-    for z, yaw_rad in zip(segments, yaws):
+    for z, yaw_rad in zip(segments, log.yaws):
         x_m, y_m = z[np.isfinite(z[:, :2]).all(axis=1)][0, :2]
         guess = _FIRST | dict(x_m=x_m, y_m=y_m, theta_rad=yaw_rad)
-        guess |= dict(zip(LEVER_ARM, robot.about_arm_m))
         firsts.append((np.array([guess.get(name, 0.0) for name in model.joint_names]), sigma))
+        z[np.arange(len(z)) % every > 0, :2] = np.nan
 
     def settings_of(values):
         scenario = Scenario(
             speed_model="slipping",
-            track_width_m=robot.width_m,
-            sensors=robot.sensors,
-            **_fields(values, robot),
+            track_width_m=recording.track_width_m,
+            sensors=recording.sensors,
+            **_fields(values, log),
         )
         return estimator_of("rhe").settings(scenario)
 
@@ -285,7 +279,7 @@ def _likelihood(segments, yaws, robot):
         model=model,
         dt_s=paper.DT_S,
         loss=Loss.HUBER,
-        unknowns=(*_UNKNOWNS, *_unknowns_of_sensors(robot.sensors)),
+        unknowns=(*_UNKNOWNS, *_unknowns_of_sensors(recording.sensors)),
         settings_of=settings_of,
         segments=segments,
         firsts=firsts,
@@ -293,91 +287,135 @@ def _likelihood(segments, yaws, robot):
     )
 
 
-def _first_yaws(recording, robot):
+def _first_yaws(recording):
     """The yaw at the beginning of each segment, by a smoothed replay with the defaults [rad]."""
-    about = InitialGuess(about_arm_m=robot.about_arm_m)
-    samples = estimate_samples(recording, replay_scenario("rhe", recording, {}), about, smooth=True)
+    samples = estimate_samples(recording, replay_scenario("rhe", recording, {}), smooth=True)
     return samples.groupby("segment")[ESTIMATE[2]].first().tolist()
 
 
-def _fitted(segments, yaws, robot):
-    """The _Fit of segments that begin with these yaws."""
-    likelihood = _likelihood(segments, yaws, robot)
-    return _Fit(likelihood, likelihood.most_likely(), yaws)
+def _fitted(log, delay_s, every=1):
+    """The _Fit of a log; the arguments are those of `_likelihood`."""
+    likelihood = _likelihood(log, delay_s, every)
+    return _Fit(delay_s, likelihood, likelihood.most_likely())
 
 
-def _search(recording, robot):
-    """The _Fit of all positions or, where their errors wander, of some; and whether they wander.
-
-    Errors that wander over seconds hardly show between successive positions, but as noise of
-    positions that are _APART_S apart. Both fits of a log without wander find the same noise. The
-    likelihood cannot tell which fit is right: each is likelier over the times that it was made for.
-    """
-    yaws = _first_yaws(recording, robot)
-    segments = _streams(recording)
-    fit = _fitted(segments, yaws, robot)
-    every = round(_APART_S / paper.DT_S)
-    some = [z.copy() for z in segments]
-    for z in some:
-        z[np.arange(len(z)) % every > 0, :2] = np.nan
-    if sum(np.isfinite(z[:, 0]).sum() for z in some) < _LEAST_APART:
-        return fit, False
-    of_some = _fitted(some, yaws, robot)
-    noise_m, noise_of_some_m = (_POSITION.at(each.x[0]) for each in (fit, of_some))
-    wanders = noise_of_some_m > _WANDERS * noise_m
-    return (of_some if wanders else fit), wanders
+# Hypotheses: functions of (_Log, _Fit) to the _Fit and a remark if they hold, else to None
 
 
-def _delay(at_stamps, about_s, fit, robot):
+def _delay(log, fit):
     """Delay of the positions [s] and its standard deviation, from the likelihood of the log.
 
     The filter estimates the lever arm beside it, because an antenna ahead of the centre turns
     earlier than the robot. A fit without the delay takes it for noise, which then hides it. So
     there is a second fit, with the delay by the path alone, and the likelier one counts.
     """
-
-    def streams(delay_s):
-        return _streams(delayed(at_stamps, delay_s))
-
-    by_path_s = likeliest_delay(at_stamps)
-    if abs(by_path_s - about_s) > _SMALL_DELAY_S:
-        late = _fitted(streams(by_path_s), fit.yaws, robot)
-        in_time = _likelihood(streams(about_s), fit.yaws, robot)
-        if late.likelihood.objective(late.x) < in_time.objective(fit.x):
-            about_s = by_path_s
+    by_path_s = likeliest_delay(log.recording)
+    if abs(by_path_s - fit.delay_s) > _SMALL_DELAY_S:
+        late = _fitted(log, by_path_s)
+        if late.likelihood.objective(late.x) < fit.likelihood.objective(fit.x):
             fit = late
-    delays_s = about_s + _DELAYS_S
-    losses = [
-        np.concatenate(_likelihood(streams(delay_s), fit.yaws, robot).losses(fit.x))
-        for delay_s in delays_s
-    ]
+    delays_s = fit.delay_s + _DELAYS_S
+    losses = [np.concatenate(_likelihood(log, each).losses(fit.x)) for each in delays_s]
     return minimum.least(delays_s, np.nan_to_num(losses, nan=_LOSS_OF_NOTHING))
+
+
+def _late(log, fit):
+    """Positions that come later than the motion by the encoders."""
+    delay_s, sigma_s = log.delay
+    if log.known_delay_s or delay_s <= max(_LATE_S, 2 * sigma_s):
+        return None
+    fit = _fitted(log, round(delay_s, 2))
+    return fit, (
+        f"The positions come {delay_s:.2f} ± {Z_95 * sigma_s:.2f} s after the encoder speeds: all "
+        f"of this is with position_delay_s={fit.delay_s:g}."
+    )
+
+
+def _wandering(log, fit):
+    """Errors that wander over seconds hardly show between successive positions.
+
+    They show as noise of positions that are _APART_S apart. Both fits of a log without wander find
+    the same noise. The likelihood cannot tell which fit is right: each is likelier over the times
+    that it was made for.
+    """
+    likelihood = _likelihood(log, fit.delay_s, round(_APART_S / paper.DT_S))
+    if sum(np.isfinite(z[:, 0]).sum() for z in likelihood.segments) < _LEAST_APART:
+        return None
+    apart = _Fit(fit.delay_s, likelihood, likelihood.most_likely())
+    if _POSITION.at(apart.x[0]) <= _WANDERS * _POSITION.at(fit.x[0]):
+        return None
+    return apart, (
+        f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s apart."
+    )
+
+
+def _defaults_predict_better(log, fit):
+    """Whether the geometric mean of the ratios of both errors is significantly above _WORSE."""
+    recording = delayed(log.recording, fit.delay_s)
+
+    def errors_m(arguments):
+        fields = {name: arguments[name] for name in _FIELDS if name in arguments}
+        scenario = replay_scenario("rhe", recording, fields)
+        first = InitialGuess(tuple(log.yaws), lever_arm_m=arguments.get("lever_arm_m"))
+        hidden = hidden_errors(recording, lambda shown: estimate_samples(shown, scenario, first))
+        return hidden["error_m"].to_numpy()
+
+    errors = errors_m(_arguments(log, fit)), errors_m({})
+    ratios = np.subtract(*(np.log(each + _LEAST_ERROR_M) for each in errors))
+    if len(ratios) < _LEAST_OUTAGES:
+        return None
+    deviation = ratios.std(ddof=1) / np.sqrt(len(ratios))
+    if ratios.mean() - _ONE_SIDED * deviation <= np.log(_WORSE):
+        return None
+    return fit._replace(is_used=False), (
+        f"The defaults are kept: after {HIDDEN_S:g} s without positions the errors of the "
+        f"calibrated replay are {np.exp(ratios.mean()):.2f} times as large as those of the "
+        f"default one (geometric mean of {len(ratios)})."
+    )
+
+
+_HYPOTHESES = (_late, _wandering, _defaults_predict_better)
 
 
 # What is made of it
 
 
-def _calibration(fit, robot):
-    """The Calibration of a _Fit, with its report."""
+def _antenna(fit):
+    """{name: (mean, standard deviation)} of the antenna's place at the end of the log [m]."""
+    last = filtering.last_estimates(fit.likelihood.model, fit.likelihood.filtered(fit.x))
+    return dict(zip(("antenna ahead", "antenna left"), (last[name] for name in LEVER_ARM)))
+
+
+def _arguments(log, fit):
+    """The arguments of `rhec.replay` by a _Fit."""
+    arguments = dict(position_delay_s=fit.delay_s) if fit.delay_s else {}
+    if not fit.is_used:
+        return arguments
+    arguments |= _widened(_fields(fit.likelihood.values(fit.x), log), bool(log.recording.sensors))
+    places = _antenna(fit).values()
+    if all(sigma < _DETERMINED_ARM_M for _, sigma in places):
+        arguments["lever_arm_m"] = tuple(float(place) for place, _ in places)
+    return arguments
+
+
+def _report(log, fit):
+    """The report of a Calibration by a _Fit."""
     report = fit.likelihood.report(fit.x)
-    position = _POSITION.name
-    if report.loc[position, "value"] > _POSITION.least:
-        report.loc[position, ["value", "low", "high"]] /= _HUBER_SHRINKS
+    noise = report.loc[_POSITION.name, ["value", "low", "high"]].astype(float)
+    if noise["value"] > _POSITION.least:
+        noise /= _HUBER_SHRINKS
     else:
         # Nothing was measured but that it is not larger.
-        report.loc[position, ["low", "determined"]] = 0.0, False
-    last = filtering.last_estimates(fit.likelihood.model, fit.likelihood.filtered(fit.x))
-    arm = [last[name] for name in LEVER_ARM]
-    is_known = [sigma < _DETERMINED_ARM_M for _, sigma in arm]
-    antenna = [
-        normal_report(name, "m", *place, is_determined)
-        for name, place, is_determined in zip(("antenna ahead", "antenna left"), arm, is_known)
+        noise["low"] = 0.0
+        report.loc[_POSITION.name, "determined"] = False
+    # Errors that wander for minutes do not show in the positions, but the receiver declares them.
+    report.loc[_POSITION.name, noise.index] = noise.clip(lower=log.declared_m)
+    others = [
+        normal_report(name, "m", mean, sigma, sigma < _DETERMINED_ARM_M)
+        for name, (mean, sigma) in _antenna(fit).items()
     ]
-    fields = _fields(fit.likelihood.values(fit.x), robot)
-    result = Calibration(_widened(fields, bool(robot.sensors)), pd.concat([report, *antenna]))
-    if all(is_known):
-        result["lever_arm_m"] = tuple(float(place) for place, _ in arm)
-    return result
+    others.append(normal_report("delay of the positions", "s", *log.delay, log.delay[1] < _LATE_S))
+    return pd.concat([report, *others])
 
 
 def _widened(fields, has_sensors):
@@ -424,64 +462,3 @@ def _usable(recording):
         )
     rows = recording.rows
     return recording._replace(rows=rows[rows["segment"].isin(usable)].reset_index(drop=True))
-
-
-def _streams(recording):
-    """Measurements and their ages of each segment, as of `with_ages`."""
-    return [with_ages(part, measured_of(recording.sensors)) for part in recording.samples()]
-
-
-def _replayed(recording, arguments, yaws, smooth=False):
-    """Samples of a replay of a Recording with arguments of `rhec.replay`."""
-    fields = {name: arguments[name] for name in _FIELDS if name in arguments}
-    scenario = replay_scenario("rhe", recording, fields)
-    first = InitialGuess(tuple(yaws), lever_arm_m=arguments.get("lever_arm_m"))
-    return estimate_samples(recording, scenario, first, smooth)
-
-
-def _terms(result, recording, samples, delay):
-    """The terms of a Calibration, from its smoothed samples."""
-    # Errors that wander for minutes do not show in the positions, but the receiver declares them.
-    noise = result.report.loc[_POSITION.name, ["value", "low", "high"]]
-    noise = noise.astype(float).clip(lower=declared_m(recording.rows))
-    found = {"GNSS noise": (*noise, "m"), "delay of the positions": terms.row(*delay, "s")}
-    return terms.of_log(terms.slopes(samples), samples, recording.track_width_m, found)
-
-
-def _remarks(result, wanders):
-    """Sentences on how the positions were used, and how good they are."""
-    remarks = []
-    if wanders:
-        remarks.append(
-            f"The errors of the positions wander: the calibration uses positions {_APART_S:g} s "
-            "apart."
-        )
-    if not result.report.loc[_POSITION.name, "low"]:
-        remarks.append(
-            f"The noise of the positions is at most {_POSITION.least} m, the least that is assumed."
-        )
-    return remarks
-
-
-def _keep_better(result, recording, yaws):
-    """Keep the defaults of `rhec.replay` where the calibrated values predict worse than they do.
-
-    They do if the geometric mean of the ratios of both errors is significantly above _WORSE.
-    """
-
-    def errors_m(arguments):
-        hidden = hidden_errors(recording, lambda shown: _replayed(shown, arguments, yaws))
-        return hidden["error_m"].to_numpy()
-
-    ratios = np.log((errors_m(result) + _LEAST_ERROR_M) / (errors_m({}) + _LEAST_ERROR_M))
-    if len(ratios) < _LEAST_OUTAGES:
-        return
-    deviation = ratios.std(ddof=1) / np.sqrt(len(ratios))
-    if ratios.mean() - _ONE_SIDED * deviation > np.log(_WORSE):
-        for name in (*_FIELDS, "lever_arm_m"):
-            result.pop(name, None)
-        result.remarks.append(
-            f"The defaults are kept: after {HIDDEN_S:g} s without positions the errors of the "
-            f"calibrated replay are {np.exp(ratios.mean()):.2f} times as large as those of the "
-            f"default one (geometric mean of {len(ratios)})."
-        )

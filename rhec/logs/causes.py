@@ -12,12 +12,11 @@ import numpy as np
 import pandas as pd
 
 from rhec.logs.finding import refused
-from rhec.logs.path_checks import compare, tracks_of
+from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
 from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import MEASUREMENTS
 
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
-_LENGTHS_S = (0.6, 1.2, 2.4)  # of the intervals that are compared
 _GOOD = 0.9  # share of the squares that an explanation explains,
 _BETTER = 3.0  # and by how much smaller the share is that it leaves
 _EMPTY = 0.01  # range of a yaw rate that never changes [rad/s]
@@ -56,7 +55,7 @@ def explained(rows):
     if not tracks:
         return None
     best = None
-    for length_s in _LENGTHS_S:
+    for length_s in LENGTHS_S:
         found = compare(tracks, length_s, 0.0)
         if found is None:
             break
@@ -188,7 +187,7 @@ def _of_the_map(log):
     """The Finding of a speed that is that along an axis of the map, not along the robot."""
     parts = []
     for track in tracks_of(log.rows):
-        at = np.arange(track.t[0], track.t[-1], _LENGTHS_S[1])
+        at = np.arange(track.t[0], track.t[-1], LENGTHS_S[1])
         place = np.interp(at, track.t, track.position)
         driven = np.interp(at, track.t_encoders, track.driven)
         parts.append(np.column_stack([np.diff(place).real, np.diff(place).imag, np.diff(driven)]))

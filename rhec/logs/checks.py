@@ -1,21 +1,26 @@
 """The checks of a recorded log: what each finds, and in which order.
 
-`rhec.doctor` lists all findings. `rhec.replay` and `rhec.calibrate` refuse a log for its first
-error and warn of what comes next. Where there is an error, in units or clocks, the checks of the
-motion would only repeat it in other words.
+`rhec.doctor` lists all findings; `rhec log FILE --check` prints them, and ends with exit code 1 if
+there are any. `rhec.replay` and `rhec.calibrate` refuse a log for its first error and warn of what
+comes next. Where there is an error, in units or clocks, the checks of the motion would only repeat
+it in other words.
 """
 
+import json
 import warnings
 from collections.abc import Iterator
 from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import causes
 from rhec.logs.finding import Finding, Severity, note, refused, warning
 from rhec.logs.path_checks import check_clock_offset, check_path
-from rhec.logs.position_noise import declared_m, position_sigma_m
-from rhec.logs.recording import DECLARED, Recording, moves, period_s, travelled
+from rhec.logs.position_noise import LEAST_M, declared_m, position_sigma_m
+from rhec.logs.reader import read_if_path
+from rhec.logs.recording import DECLARED, Recording, delayed, moves, period_s, prepare, travelled
 from rhec.logs.sensor_checks import check_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -172,13 +177,6 @@ def _check_clock(recording):
             "clock_set_back",
             f"the time falls back by {back_s:.4g} s{hour}; what follows counts as another drive",
             "If files were pasted together, replay each, or number them in a column segment.",
-        )
-    if faults["headers"]:
-        times = "once" if faults["headers"] == 1 else f"{faults['headers']} times"
-        yield note(
-            "repeated_header",
-            f"the line of names stands {times} more between the rows",
-            "Several files may have been pasted together: replay each by itself.",
         )
 
 
@@ -375,3 +373,62 @@ _CHECKS = (
     check_sensors,
 )
 _OF_MOTION = (_check_excited, _check_rates, _check_encoders, _check_interpolated, _check_jumps)
+
+
+# The doctor
+
+
+class Diagnosis(NamedTuple):
+    """All findings about a log.
+
+    Args:
+        findings: (Finding, …), none for a healthy log.
+        facts: {name: number} that were measured, such as the rates.
+    """
+
+    findings: tuple
+    facts: dict
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are no findings."""
+        return not self.findings
+
+    def to_json(self) -> str:
+        """The diagnosis as JSON."""
+        findings = [each._asdict() | dict(sentence=each.sentence) for each in self.findings]
+        return json.dumps(dict(ok=self.ok, findings=findings, facts=self.facts), indent=2)
+
+    def __str__(self) -> str:
+        told = {name: f"{value:.3g}" for name, value in self.facts.items()}
+        if self.facts.get("position_sigma_m") == LEAST_M:
+            told["position_sigma_m"] = f"at most {LEAST_M}, the least that is assumed"
+        lines = [f"{name}: {value}" for name, value in told.items()]
+        lines += [f"- {each.severity}: {each.sentence} {each.remedy}" for each in self.findings]
+        return "\n".join(lines + ([] if self.findings else ["Nothing was found."]))
+
+
+@checked
+def doctor(
+    log: Any, *, track_width_m: Positive | None = None, position_delay_s: Real = 0.0
+) -> Diagnosis:
+    """Find what is wrong with a recorded log.
+
+    Args:
+        log: DataFrame, as `rhec.replay` takes it; or the path of a file, as `rhec.logs.read` takes
+            it.
+        track_width_m: As in `rhec.replay` [m].
+        position_delay_s: Delay of the time stamps of the positions [s], as in `rhec.replay`.
+
+    Returns:
+        Diagnosis.
+
+    Raises:
+        ValueError: If there is a path, and its file cannot be read.
+    """
+    log = read_if_path(log)
+    try:
+        recording = delayed(prepare(log, track_width_m), position_delay_s)
+    except ValueError as error:
+        return Diagnosis((refused(str(error), "unusable"),), {})
+    return Diagnosis(tuple(findings(recording)), facts(recording))

@@ -130,23 +130,15 @@ class Calibration(dict):
         report: DataFrame, one row for each parameter: value, bounds `low` and `high` of the 95 %
             interval, unit, and `determined`, whether the log determines the parameter. Otherwise
             the value is close to the prior, or the least that is assumed.
-        terms: DataFrame, the same in the terms of ROS: multipliers of wheel separation and radius,
-            effective track width, bias and scale of the gyro, place of the antenna, delay and noise
-            of the positions, each with its 95 % interval (`rhec.logs.terms`).
-        yaml: These for diff_drive_controller and robot_localization.
         remarks: Sentences, such as that the defaults of `rhec.replay` are kept.
     """
 
     report: pd.DataFrame
-    terms: pd.DataFrame
-    yaml: str
     remarks: list[str]
 
     def __init__(self, arguments: dict[str, Any], report: pd.DataFrame) -> None:
         super().__init__(arguments)
         self.report = report
-        self.terms = pd.DataFrame()
-        self.yaml = ""
         self.remarks = []
 
     def __str__(self) -> str:
@@ -154,8 +146,5 @@ class Calibration(dict):
         summary = "The log determines all parameters."
         if undetermined:
             summary = f"The log does not determine: {', '.join(undetermined)}."
-        report, in_terms = (
-            table.to_string(float_format="{:.4g}".format) if len(table) else ""
-            for table in (self.report, self.terms)
-        )
-        return "\n".join([report, summary, "", in_terms, *self.remarks]).rstrip("\n")
+        report = self.report.to_string(float_format="{:.4g}".format)
+        return "\n".join([report, summary, *self.remarks])

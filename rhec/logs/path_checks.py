@@ -10,7 +10,6 @@ ahead of the centre turns earlier, which is no delay. No estimator and no yaw ar
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from rhec.logs import minimum
@@ -20,7 +19,7 @@ from rhec.simulation.columns import MEASUREMENTS
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # Lengths of the intervals. The shortest one in which motion exceeds the noise is used.
-_LENGTHS_S = (0.6, 1.2, 2.4)
+LENGTHS_S = (0.6, 1.2, 2.4)
 _DELAYS_S = np.arange(-20, 21) / 10  # that are tried
 _NO_DELAY = 20  # its place among these
 # The motion explains the path if it explains more than this share of the squares.
@@ -34,9 +33,8 @@ _SHARPEST_PER_M = 2.0  # curvature w/n of an interval beyond which the course sa
 # Another clock: path and encoders are compared over a minute either way, in steps of a second.
 _OFFSETS_S = range(-60, 61)
 _BY_ONE_CLOCK_S = range(-2, 3)  # offsets at which both may have the same clock
-_LEAST_OVERLAP_S = 60
-_SAME_SPEED = 0.8  # correlation of both speeds by one clock
-_OTHER_SPEED = 0.6  # and by two
+_SAME_CLOCK = 0.64  # share of the squares of the distances that is explained by one clock
+_OTHER_CLOCK = 0.36  # and by two
 _GPS_AHEAD_S = 18  # of UTC, since 2017
 # A slope counts as out of range if it is this many standard errors outside. The limit is
 # high because correlated errors of neighbouring intervals make the standard errors too small.
@@ -226,7 +224,7 @@ def compare(tracks, length_s, delay_s):
 def _motion(rows):
     """The _Motion of a log; None if it is too short."""
     tracks = tracks_of(rows)
-    for length_s in _LENGTHS_S:
+    for length_s in LENGTHS_S:
         compared = [compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
         if compared[0] is None:
             return None
@@ -307,23 +305,17 @@ def check_path(recording):
 def check_clock_offset(recording):
     """Find positions by another clock, seconds to a minute away from that of the encoders.
 
-    Over an offset at which they belong together, the speed of the path correlates with that of
-    the encoders.
+    Over that offset the encoders explain the distances of the path, and over none within two
+    seconds they do.
     """
-    rows = recording.rows
-    step = _by_second(rows.dropna(subset=_POSITION), _POSITION).last().diff()
-    step = step[step.index.diff() == 1]
-    path_mps = pd.Series(np.hypot(*step.to_numpy().T), step.index)
-    speed_mps = _by_second(rows.dropna(subset=_ENCODERS), _ENCODERS[0]).mean().abs()
-    if len(path_mps) < _LEAST_OVERLAP_S:
-        return
+    tracks = tracks_of(recording.rows)
     # Nearly all logs have one clock and end here; the other offsets take long.
-    if _alike(path_mps, speed_mps, _BY_ONE_CLOCK_S).max() > _OTHER_SPEED:
+    if max(_shares(tracks, _BY_ONE_CLOCK_S).values(), default=1.0) > _OTHER_CLOCK:
         return
-    alike = _alike(path_mps, speed_mps, _OFFSETS_S)
-    if not len(alike) or alike.max() < _SAME_SPEED:
+    shares = _shares(tracks, _OFFSETS_S)
+    best_s = max(shares, key=shares.get)
+    if shares[best_s] < _SAME_CLOCK:
         return
-    best_s = int(alike.idxmax())
     place = ", ".join(recording.columns[name] for name in _POSITION)
     way = "ahead of" if best_s > 0 else "behind"
     why = ", as GPS time is ahead of UTC" if best_s == _GPS_AHEAD_S else ""
@@ -336,17 +328,8 @@ def check_clock_offset(recording):
     )
 
 
-def _alike(path_mps, speed_mps, offsets_s):
-    """Correlation of the path's speed with that of the encoders, by the offset of their clocks."""
-    alike = {}
-    for offset_s in offsets_s:
-        shifted = speed_mps.set_axis(speed_mps.index + offset_s).reindex(path_mps.index)
-        if shifted.std() > 0 and path_mps.std() > 0:
-            alike[offset_s] = path_mps.corr(shifted, min_periods=_LEAST_OVERLAP_S)
-    return pd.Series(alike, dtype=float).dropna()
-
-
-def _by_second(rows, columns):
-    """Columns of rows grouped by full seconds, of which those of another segment are far away."""
-    second = np.floor(rows["t_s"]) + 1e7 * rows["segment"]
-    return rows.groupby(second)[columns]
+@np.errstate(all="ignore")
+def _shares(tracks, offsets_s):
+    """{offset of the clocks: share of the squares of the distances that the encoders explain}."""
+    compared = {each: compare(tracks, LENGTHS_S[-1], each) for each in offsets_s}
+    return {each: slopes[0].share for each, slopes in compared.items() if slopes}

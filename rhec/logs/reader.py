@@ -19,8 +19,9 @@ from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
-from rhec.logs.column_names import OTHER_NAMES, column_of, plain_name
+from rhec.logs.column_names import column_of
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
+from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, TRACKS
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
@@ -33,13 +34,13 @@ _THOUSANDS = {
     ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
     ".": re.compile(r"(?<![\d.,])\d{1,3}(\.\d{3})+,\d"),
 }
-_READ = ("t_s", "latitude", "longitude", "altitude")  # by other names, too
+_OF_A_RECORDING = {"t_s", "segment", "pos_ok", "encoders_ok", "latitude", "longitude", *TRACKS}
+_OF_A_RECORDING |= {*RECORDED.values(), *RECORDED_SENSORS.values()}
 _UNIT_OF_TIME = re.compile(r"[ _(\[]+(s|ms|us|ns)[)\]]*$", re.IGNORECASE)
 _MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 # The ellipsoid WGS 84
 _AXIS_M = 6378137.0
 _ECCENTRICITY_2 = 6.69437999014e-3
-_STEPS_ON_SPHERE = 8  # each leaves about a hundredth of the distance
 
 
 @checked
@@ -82,8 +83,7 @@ def read(
         yaw_rate_radps. A JointState gives v_left_mps and v_right_mps instead, for which
         `rhec.replay` takes a track_width_m. Latitude and longitude become metres east and north of
         the first position, in the plane tangent to WGS 84 there; lengths are 4 mm too short in
-        10 km. `.attrs["inferred"]` lists what was inferred. `.attrs["origin"]` has the latitude,
-        longitude [deg] and altitude [m] of the first position, if the log has them.
+        10 km. `.attrs["inferred"]` lists what was inferred.
 
     Raises:
         ValueError: If the file cannot be read, or if it lacks the topics or columns. For a bag that
@@ -317,30 +317,23 @@ def _marks(lines, separator):
 def _read_parquet(file, columns):
     """The table in a .parquet file, unless unpacking it would fill the memory, and {}.
 
-    Of its columns those of numbers and times are read, and those of text that may be a time or a
-    measurement, or that `columns` names. Lists and other nests, whose size no schema tells, are
-    not.
+    Its columns of numbers and times are read. Texts, lists and other nests, whose size no schema
+    tells, are not.
     """
     import pyarrow.parquet as pq  # only some have it
 
     with pq.ParquetFile(file) as parquet:
         schema = parquet.schema_arrow
-        numbers = [field.name for field in schema if _is_number(field.type)]
-        wanted = {name.removeprefix("-") for name in columns.values()} | {*OTHER_NAMES}
-        read_alone = {other for name in _READ for other in OTHER_NAMES[name]}
-        texts = [
-            field.name
-            for field in schema
-            if _is_text(field.type)
-            and (field.name in wanted or plain_name(field.name) in read_alone)
-        ]
-        _refuse_large(parquet.metadata, {*numbers, *texts})
-    # Of equal texts a dictionary has one: they may be long, and many, in a small file.
-    with pq.ParquetFile(file, read_dictionary=texts) as parquet:
-        table = parquet.read([name for name in schema.names if name in {*numbers, *texts}])
-    for name in texts:
-        table = _with_plain_text(table, name)
-    table = table.to_pandas()
+        names = [each.name for each in schema if _is_number(each.type)]
+        wanted = {name.removeprefix("-") for name in columns.values()} | _OF_A_RECORDING
+        left_out = [name for name in schema.names if name in wanted and name not in names]
+        if left_out:
+            raise ValueError(
+                f"its column {left_out[0]} is of type {schema.field(left_out[0]).type}; it should "
+                "be numbers or times"
+            )
+        _refuse_large(parquet.metadata, names)
+        table = parquet.read(names).to_pandas()
     table.attrs.clear()  # of a replay, which the file may bring along
     return table, {}
 
@@ -349,19 +342,8 @@ def _is_number(kind):
     """Whether a type of Arrow is that of numbers, times or truth values."""
     import pyarrow.types as types
 
-    if types.is_dictionary(kind):
-        return _is_number(kind.value_type)
     tests = types.is_integer, types.is_floating, types.is_decimal, types.is_temporal
     return types.is_boolean(kind) or any(test(kind) for test in tests)
-
-
-def _is_text(kind):
-    """Whether a type of Arrow is that of text, which may stand in a dictionary."""
-    import pyarrow.types as types
-
-    if types.is_dictionary(kind):
-        return _is_text(kind.value_type)
-    return types.is_string(kind) or types.is_large_string(kind)
 
 
 def _refuse_large(metadata, names):
@@ -374,24 +356,6 @@ def _refuse_large(metadata, names):
     unpacked = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
     if unpacked > _MOST_BYTES:
         raise ValueError(f"it unpacks to {unpacked} bytes, and should to at most {_MOST_BYTES}")
-
-
-def _with_plain_text(table, name):
-    """An Arrow table whose dictionary of texts is a column of texts, unless that is too large."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    column = table[name].unify_dictionaries()
-    longest = max(
-        (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks),
-        default=0,
-    )
-    if longest * len(column) > _MOST_BYTES:
-        raise ValueError(
-            f"{name} has {len(column)} texts of up to {longest} bytes, and they should be at most "
-            f"{_MOST_BYTES} bytes"
-        )
-    return table.set_column(table.column_names.index(name), name, column.cast(pa.string()))
 
 
 def _in_seconds(log, inferred):
@@ -481,8 +445,6 @@ def _in_metres(log, inferred):
     height_m = np.zeros(len(log)) if altitude is None else np.nan_to_num(altitude)
     places = np.stack([latitude, longitude, height_m])
     origin = places[:, np.argmax(np.isfinite(latitude + longitude))]
-    if np.isfinite(origin).all():
-        log.attrs["origin"] = tuple(origin.tolist())
     inferred["position"] = (
         f"metres east and north of latitude {origin[0]:.7f}, longitude {origin[1]:.7f}, on WGS 84"
     )
@@ -508,24 +470,3 @@ def _metres_at(latitude, longitude, height_m, origin):
     out = from_axis[1:] * np.cos(turned) - from_axis[0]
     up = above_equator[1:] - above_equator[0]
     return from_axis[1:] * np.sin(turned), up * np.cos(phi[0]) - out * np.sin(phi[0])
-
-
-def degrees_at(x_m, y_m, origin):
-    """Longitudes and latitudes of places at the height of the origin: the inverse of `_metres_at`.
-
-    What is left of the distance moves the place as on a sphere, again and again.
-
-    Args:
-        x_m, y_m: Places east and north of the origin [m], arrays (n,).
-        origin: Latitude, longitude [deg] and altitude [m], as in `log.attrs["origin"]`.
-
-    Returns:
-        Longitudes and latitudes [deg], two arrays (n,).
-    """
-    latitude = np.full(len(x_m), origin[0])
-    longitude = np.full(len(x_m), origin[1])
-    for _ in range(_STEPS_ON_SPHERE):
-        east_m, north_m = _metres_at(latitude, longitude, np.full(len(x_m), origin[2]), origin)
-        latitude += np.rad2deg((y_m - north_m) / _AXIS_M)
-        longitude += np.rad2deg((x_m - east_m) / (_AXIS_M * np.cos(np.deg2rad(latitude))))
-    return longitude, latitude

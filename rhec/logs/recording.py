@@ -136,7 +136,6 @@ def prepare(log, track_width_m=None):
         positions_held=int(is_held.sum()),
         positions_flagged=flagged,
         clock_back_s=_set_back_s(values),
-        headers=_repeated_headers(log),
         segments=int(rows["segment"].max()) + 1,
         left_out={columns[name]: n for name, n in left_out.items() if n},
         jumps_m=jumps_m,
@@ -290,15 +289,6 @@ def _set_back_s(values):
     stamped = values[values["t_s"].notna()]
     back_s = -stamped.groupby("segment")["t_s"].diff().min()
     return float(back_s) if back_s > _CLOCK * paper.DT_S else 0.0
-
-
-def _repeated_headers(log):
-    """How many rows hold the names of the columns, as those of files pasted together do."""
-    repeated = np.zeros(len(log), dtype=bool)
-    for name, column in log.items():
-        if not pd.api.types.is_numeric_dtype(column):
-            repeated |= [isinstance(word, str) and word == name for word in column]
-    return int(repeated.sum())
 
 
 def _parse(log, measured, optional=None):

@@ -31,7 +31,7 @@ from rhec.core.estimator.estimate import joint_guess
 from rhec.core.model.limits import is_valid_measurement
 from rhec.core.model.robot_model import Model, interval
 from rhec.logs.checks import refuse
-from rhec.logs.course import SIGMA_BY_COURSE, yaw_sigma_rad
+from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw, yaw_sigma_rad
 from rhec.logs.position_noise import declared_m, position_sigma_m
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import (
@@ -43,7 +43,6 @@ from rhec.logs.recording import (
     resample,
     with_ages,
 )
-from rhec.logs.remarks import remarks, unknown_yaw
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     ACCEPTED,
@@ -110,7 +109,6 @@ class InitialGuess(NamedTuple):
     yaw_rad: tuple | None = None  # initial yaw of each segment [rad]
     sigma_yaw_rad: float = _SIGMA_FIRST["theta_rad"]  # its standard deviation [rad]
     lever_arm_m: tuple | None = None  # position of the antenna ahead and left of the centre [m]
-    about_arm_m: tuple = (0.0, 0.0)  # where the antenna is about, if lever_arm_m is unknown [m]
 
 
 _UNKNOWN = InitialGuess()
@@ -403,7 +401,7 @@ def first_guess(first, nu, place, yaw_rad, sigma_yaw_rad):
         nu: Guess of the speed [m/s].
         place, yaw_rad, sigma_yaw_rad: As in `estimated`.
     """
-    arm_m = first.lever_arm_m or first.about_arm_m
+    arm_m = first.lever_arm_m or (0.0, 0.0)
     guess = dict(zip(_SIGMA_FIRST, (*place, yaw_rad, nu, 1.0, 1.0, *arm_m)))
     guess |= sensors.GUESS | {YAW_DRIFT: 0.0}
     return guess, _sigma_first(first) | dict(theta_rad=sigma_yaw_rad)
@@ -670,8 +668,6 @@ def at_rows(samples, recording, log, how):
     result.loc[usable < 0, how.measured] = np.nan
     result.loc[usable < 0, result.columns.intersection([*GATE, *ACCEPTED.values()])] = False
     result.attrs["faults"] = recording.faults
-    if "origin" in log.attrs:
-        result.attrs["origin"] = log.attrs["origin"]
     return result
 
 
@@ -743,9 +739,8 @@ def replay(
         track_width_m: Distance of the tracks [m]. With it, ν and ω are computed from v_left_mps
             and v_right_mps; speed_mps and yaw_rate_radps are not used.
         lever_arm_m: Position (ahead, left) of the antenna relative to the centre of turning [m]. By
-            default it is estimated, within some decimetres of `log.attrs["lever_arm_m"]`, which a
-            bag with /tf_static has, or else of the centre. Only the estimator "rhe" with
-            speed_model="slipping" accepts it. The estimated position is that of the antenna.
+            default it is estimated, within some decimetres of the centre. Only the estimator "rhe"
+            with speed_model="slipping" accepts it. The estimated position is that of the antenna.
         first_yaw_rad: Initial guess of the yaw [rad], one number or one for each segment. By
             default several directions are tried. Each row then has the estimate with the smallest
             innovations until then, which may be wrong until the robot has driven some metres.
@@ -770,9 +765,7 @@ def replay(
         the names of the outputs, `<name>_hat` for each state, input and parameter, `<name>_sigma`,
         the standard deviation, for states and parameters, and `ok`. An unusable row has the
         previous estimate. Estimates before the first position of a segment are NaN.
-        `.attrs["faults"]` counts unusable rows and measurements. `.attrs["remarks"]`, without a
-        model, is a list of sentences: where the yaw is not known, and how often a gyro is left
-        out. `.attrs["origin"]` is that of the log, if it has one (`rhec.logs.read`).
+        `.attrs["faults"]` counts unusable rows and measurements.
 
     Raises:
         ValueError: If the log lacks columns or usable times, if it fails the plausibility checks,
@@ -804,12 +797,10 @@ def replay(
     scenario = replay_scenario(estimator, recording, fields)
     smooth = _checked_smooth(smooth, lever_arm_m, scenario)
     yaws = _yaw_of_each_segment(first_yaw_rad, recording)
-    about_arm_m = log.attrs.get("lever_arm_m", (0.0, 0.0))
     sigma_yaw_rad = sigma_yaw_rad or _UNKNOWN.sigma_yaw_rad
-    first = InitialGuess(yaws, sigma_yaw_rad, lever_arm_m, about_arm_m)
+    first = InitialGuess(yaws, sigma_yaw_rad, lever_arm_m)
     samples = estimate_samples(recording, scenario, first, smooth)
     result = at_rows(samples, recording, log, replay_of(scenario))
-    result.attrs["remarks"] = remarks(samples)
     if unknown := unknown_yaw(samples):
         warnings.warn(unknown, stacklevel=3)
     return result

@@ -16,14 +16,13 @@ import pandas as pd
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
 from rhec.logs.calibration import LOG_ARGUMENTS, calibrate_recorded
-from rhec.logs.course import SIGMA_BY_COURSE
-from rhec.logs.doctor import Diagnosis, doctor
+from rhec.logs.checks import Diagnosis, doctor
+from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw
 from rhec.logs.finding import Severity
 from rhec.logs.judge import HIDDEN_S, judge
 from rhec.logs.likelihood import Calibration
 from rhec.logs.reader import read_if_path
 from rhec.logs.recording import Recording, delayed, prepare, travelled
-from rhec.logs.remarks import unknown_yaw
 from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMAS_OF_SENSORS
 from rhec.simulation.scenario import Scenario
@@ -248,12 +247,11 @@ def log(
         verdict = f"No estimate: {errors[0].sentence} {errors[0].remedy}"
         return Summary(_taken(recorded), diagnosis, verdict)
     recording = prepare(recorded, track_width_m)
-    about_arm_m = recorded.attrs.get("lever_arm_m", (0.0, 0.0))
     found = None
     fields = {}
-    first = InitialGuess(about_arm_m=about_arm_m)
+    first = InitialGuess()
     if calibrate:
-        found = calibrate_recorded(recording, about_arm_m, position_delay_s)
+        found = calibrate_recorded(recording, position_delay_s)
         position_delay_s = found.get("position_delay_s", position_delay_s)
         fields = {name: each for name, each in found.items() if name not in LOG_ARGUMENTS}
         first = first._replace(lever_arm_m=found.get("lever_arm_m"))
@@ -268,7 +266,7 @@ def log(
     )
     smoothed, way = (_inflated(each, judged.inflation) for each in (smoothed, judged.samples))
     slopes = terms.slopes(smoothed)
-    parameters = found.terms if found else terms.of_log(slopes, smoothed, recording.track_width_m)
+    parameters = terms.of_log(slopes, smoothed, recording.track_width_m, found)
     traction = pd.DataFrame(
         [terms.row(*slope)[:3] for slope in slopes],
         index=["μ", "κ", "drift"],

@@ -28,6 +28,8 @@ _CONSTANTS = {
     "antenna left": (LEVER_ARM[1], SIGMA[7], "m"),
     **{of.label: (of.hat, of.sigma_column, of.unit) for of in UNKNOWNS},
 }
+# What only a calibration tells.
+_CALIBRATED = ("noise of the position", "delay of the positions")
 
 
 class Slope(NamedTuple):
@@ -138,14 +140,16 @@ def noise(samples):
     )
 
 
-def table(mu, kappa, width_m, others):
-    """The parameters as a DataFrame with columns value, low, high (95 %), unit.
+def of_log(slopes, samples, width_m, calibration=None):
+    """The parameters of a log as a DataFrame with columns value, low, high (95 %), unit.
 
     Args:
-        mu, kappa: Slopes.
+        slopes: μ, κ and the drift, as of `slopes`.
+        samples: DataFrame of smoothed samples.
         width_m: The stated track width [m].
-        others: {parameter: (value, low, high, unit)}.
+        calibration: The Calibration of the log, if there is one.
     """
+    mu, kappa, drift = slopes
     inverse = 1 / np.array([kappa.value, kappa.value + _Z * kappa.sigma, _least(kappa)])
     ratio = mu.value / kappa.value
     sigma = ratio * np.hypot(mu.sigma / mu.value, kappa.sigma / kappa.value)
@@ -154,22 +158,12 @@ def table(mu, kappa, width_m, others):
         "effective track width": (*(width_m * inverse), "m"),
         "wheel_radius_multiplier (μ)": row(*mu),
         "wheel_separation_multiplier with it (μ/κ)": row(ratio, sigma),
-    }
-    return pd.DataFrame(rows | others, index=["value", "low", "high", "unit"]).T
-
-
-def of_log(slopes, samples, width_m, found=None):
-    """The parameters of a log as a DataFrame, as of `table`.
-
-    Args:
-        slopes: μ, κ and the drift, as of `slopes`.
-        samples: DataFrame of smoothed samples.
-        width_m: The stated track width [m].
-        found: {parameter: (value, low, high, unit)} of a calibration.
-    """
-    mu, kappa, drift = slopes
-    others = {"drift in turning": row(*drift, "rad/m")} | constants(samples) | (found or {})
-    return table(mu, kappa, width_m, others)
+        "drift in turning": row(*drift, "rad/m"),
+    } | constants(samples)
+    if calibration is not None:
+        columns = ["value", "low", "high", "unit"]
+        rows |= {name: tuple(calibration.report.loc[name, columns]) for name in _CALIBRATED}
+    return pd.DataFrame(rows, index=["value", "low", "high", "unit"]).T
 
 
 def row(value, sigma, unit="-"):
@@ -202,7 +196,7 @@ def as_yaml(terms, width_m, noise, rate_hz):
     what belongs to no node stands in comments.
 
     Args:
-        terms: What `table` returns.
+        terms: What `of_log` returns.
         width_m: The stated track width [m].
         noise: The Noise of the odometry.
         rate_hz: Rate of the encoders' messages [Hz].

@@ -68,9 +68,9 @@ class Controller(OwnStep):
 def check_fits(scenario):
     """Refuse a Scenario's Controller whose inputs have other shapes than the loop's signals."""
     # Imported here, since only those who have a controller of their own need it.
-    from rhec.tracked_robot.paper_rhc import stages_of
+    from rhec.tracked_robot.paper_rhc import problem_of_scenario
 
-    stages = stages_of(scenario.prediction_horizon)
+    stages = problem_of_scenario(scenario).stages
     states = estimator_of(scenario.estimator).states(Choice.of(scenario))
     shapes = dict.fromkeys(Controller.signals, _ONE) | stages.weights | stages.data
     shapes |= dict(

@@ -207,7 +207,7 @@ def _references(scenario, world):
 def _controller(scenario, world):
     """The command, of a user's Controller or of the paper's RHC."""
     own = scenario.controller if isinstance(scenario.controller, Controller) else None
-    horizon = scenario.prediction_horizon
+    stages, settings = paper_rhc.problem_of_scenario(scenario)
     takes = own.step.name_in() if own else ("memory",)
     remembers = ("command", "controller") if "memory" in takes else ("command",)
     if own:
@@ -215,7 +215,7 @@ def _controller(scenario, world):
     else:
         control = block_of(
             paper_rhc.build_step,
-            horizon,
+            stages,
             scenario.traction_timing,
             **_OF_CONTROLLER,
             remembers=remembers,
@@ -223,18 +223,10 @@ def _controller(scenario, world):
     part = Part(control)
     if world:
         guess = world.guess
-        plan = rhc.init(paper_rhc.stages_of(horizon), guess[:3], guess[3:])
+        plan = rhc.init(stages, guess[:3], guess[3:], settings)
         first = dict(command=0.0, controller=np.array(own.memory) if own else plan)
-        q = np.array(scenario.q)
-        settings = dict(
-            Q=q,
-            QN=scenario.qn_factor * q,
-            R=scenario.r,
-            lower=-scenario.omega_max_radps,
-            upper=scenario.omega_max_radps,
-            disturbance=0.0,  # of the yaw rate, where none is estimated
-        )
-        part = Part(control, first, settings)
+        # No disturbance of the yaw rate, where none is estimated.
+        part = Part(control, first, settings | dict(disturbance=0.0))
     is_compensated = _has_yaw_drift(scenario) and "disturbance" not in takes
     yield from _compensated(part) if is_compensated else (part,)
 

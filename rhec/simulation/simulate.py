@@ -1,12 +1,30 @@
 """`rhec.simulate`: run one scenario, or several."""
 
-from collections.abc import Iterable
-from typing import overload
+import functools
+from collections.abc import Callable, Iterable
+from typing import ParamSpec, TypeVar, overload
 
 from rhec.core._casadi.validation import shown
 from rhec.simulation.closed_loop import set_up, simulate_setup
 from rhec.simulation.run import Run
 from rhec.simulation.scenario import Scenario
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+def _takes_scenario(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Say how to give the parameters of a Scenario where a call names them (a decorator)."""
+
+    @functools.wraps(function)
+    def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
+        for name, value in named.items():
+            if name != "scenario":
+                given = f"rhec.simulate(rhec.Scenario({name}={shown(value)}))"
+                raise TypeError(f"simulate takes no {name}; a Scenario does: {given}")
+        return function(*arguments, **named)
+
+    return call
 
 
 @overload
@@ -17,6 +35,7 @@ def simulate(scenario: Scenario) -> Run: ...
 def simulate(scenario: Iterable[Scenario]) -> list[Run]: ...
 
 
+@_takes_scenario
 def simulate(scenario: Scenario | Iterable[Scenario]) -> Run | list[Run]:
     """Run one scenario, or several.
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from rhec import any_robot, paper
 from rhec.core._casadi import validation as valid
-from rhec.core.controller.problem import Problem
 from rhec.core.estimator import rhe
 from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
 from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
+from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
+from rhec.tracked_robot.paper_rhc import options_of, with_full_steps
 from rhec.tracked_robot.paper_rhe import SIGMA_START, init, settings_of, window_of
 from rhec.tracked_robot.sensors import rows_of_yaws
 from rhec.tracked_robot.speed_models import refuse_drift_with, speed_model_of
@@ -189,17 +189,8 @@ class RHC(any_robot.RHC):
         model: None = None,
     ):
         self._qp = qp
-        paper_model = SPEED_MODELS["parameter"].model
-        bounds = dict(omega_radps=(-omega_max, omega_max))
-        weights = dict(q=q, r=(r,), qn_factor=qn_factor)
-        super().__init__(
-            model=paper_model,
-            command=("omega_radps",),
-            bounds=bounds,
-            dt=dt,
-            horizon=horizon,
-            **weights,
-        )
+        weights = dict(q=q, r=r, qn_factor=qn_factor)
+        super().__init__(**options_of(**weights, omega_max=omega_max, dt=dt, horizon=horizon))
         pose, p, xi_ref, (omega_ref,) = self._inputs.values()
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
         # A memoryview returns a float faster than an array does.
@@ -207,11 +198,7 @@ class RHC(any_robot.RHC):
         self._disturbance = 0.0
 
     def _problem_of(self, options):
-        problem = super()._problem_of(options)
-        if problem.stages.is_general:
-            return problem
-        # The paper's iterations are full steps.
-        return Problem(problem.stages._replace(damped=False, qp=self._qp), problem.settings)
+        return with_full_steps(super()._problem_of(options), self._qp)
 
     def disturbance(self, estimate: Estimate) -> float:
         """The yaw rate d [rad/s] that the soil adds to that of the tracks, θ' = κ (ω + d).

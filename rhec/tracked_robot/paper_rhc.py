@@ -5,18 +5,43 @@ import casadi as ca
 from rhec import paper
 from rhec.core._casadi.build import unpack, with_packed_memory
 from rhec.core.controller import rhc
-from rhec.core.controller.stages import Stages
+from rhec.core.controller.problem import Options, Problem, problem_of
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
-def stages_of(N):
-    """The Stages of the paper's problem, N intervals: the yaw rate ω is commanded."""
-    return Stages(SPEED_MODELS["parameter"].model, (0,), paper.DT_S, N)
+def options_of(*, omega_max, r, **others):
+    """The arguments of a Model's rhec.RHC that make it the paper's: the yaw rate ω is commanded.
+
+    Args:
+        omega_max: Bound of ω [rad/s], eq. (16).
+        r: Weight R of ω, eq. (22).
+        others: Further arguments of rhec.RHC: its weights, `dt` and `horizon`.
+    """
+    bounds = dict(omega_radps=(-omega_max, omega_max))
+    model = SPEED_MODELS["parameter"].model
+    return dict(model=model, command=("omega_radps",), bounds=bounds, r=(r,)) | others
 
 
-def build_step(N, traction_timing="feedback"):
+def with_full_steps(problem, qp=None):
+    """A Problem whose iterations are full steps, as the paper's are; `qp` is that of Stages."""
+    return Problem(problem.stages._replace(damped=False, qp=qp), problem.settings)
+
+
+def problem_of_scenario(scenario):
+    """The Problem of the RHC of a Scenario."""
+    options = options_of(
+        q=scenario.q,
+        r=scenario.r,
+        qn_factor=scenario.qn_factor,
+        omega_max=scenario.omega_max_radps,
+        dt=paper.DT_S,
+        horizon=scenario.prediction_horizon,
+    )
+    return with_full_steps(problem_of(Options(**options)))
+
+
+def build_step(stages, traction_timing="feedback"):
     """The RHC's step, with ν̂, μ̂ and κ̂ that reach it as Scenario's `traction_timing` says."""
-    stages = stages_of(N)
     step = rhc.build_phases(stages)["step"]
     if traction_timing == "feedback":
         return step
@@ -44,14 +69,15 @@ def _with_online_traction(step, stages, timing):
         return ca.vertcat(s[:n_x, :], ca.repmat(p, 1, s.size2()))
 
     @with_packed_memory("rhc_online_step", stages.memory, **shapes)
-    def online(s, u, s_0, **given):
+    def online(s_0, **values):
+        plan = {name: values.pop(name) for name in stages.memory}
         p = s_0[n_x:]
         if timing == "prepared_anew":
-            s = with_traction(s, p)
+            plan["s"] = with_traction(plan["s"], p)
         # The data of the preparation are those of the whole step.
-        start = ca.vertcat(s_0[:n_x], s[n_x:, 0])
-        result = step(memory=ca.veccat(s, u), s_0=start, **given)
+        start = ca.vertcat(s_0[:n_x], plan["s"][n_x:, 0])
+        result = step(memory=ca.veccat(*plan.values()), s_0=start, **values)
         plan = unpack(result.pop("memory"), stages.memory)
-        return result | dict(s=with_traction(plan["s"], p), u=plan["u"])
+        return result | plan | dict(s=with_traction(plan["s"], p))
 
     return online

@@ -189,7 +189,8 @@ def within_a_turn(n_z, rows):
 _BIAS = "gyro_bias_radps"
 _SCALE = "gyro_scale"
 _ERROR = "gyro_error_radps"
-# It measures s θ̇ + β, with a scale s and a bias β.
+# It measures s θ̇ + β + e, with a scale s, a bias β, and an error e in proportion to the yaw rate
+# of the tracks, which only those Models have whose noise grows with the motion.
 GYRO = Sensor(
     name="gyro",
     output="gyro_radps",
@@ -198,14 +199,28 @@ GYRO = Sensor(
     h=lambda of, slope: of[_SCALE] * slope[YAW] + of[_BIAS] + of.get(_ERROR, 0),
     unknowns=(
         Unknown(
-            _BIAS, "gyro bias", "rad/s", (-0.2, 0.2), 0.0, 0.05, "gyro_bias_hat_radps", walk=2e-4
+            name=_BIAS,
+            label="gyro bias",
+            unit="rad/s",
+            bounds=(-0.2, 0.2),
+            guess=0.0,
+            sigma=0.05,
+            hat="gyro_bias_hat_radps",
+            walk=2e-4,
         ),
-        Unknown(_SCALE, "gyro scale", "-", (0.8, 1.25), 1.0, 0.03, "gyro_scale_hat"),
+        Unknown(
+            name=_SCALE,
+            label="gyro scale",
+            unit="-",
+            bounds=(0.8, 1.25),
+            guess=1.0,
+            sigma=0.03,
+            hat="gyro_scale_hat",
+        ),
     ),
-    # Errors of its axis and its timing are in proportion to the yaw rate.
-    error=_ERROR,
+    error=_ERROR,  # of its axis and its timing
     sigma="sigma_gyro",
-    noise=(Noise("rad/s", 0.02), Noise("-", 0.05, ", share of ω")),
+    noise=(Noise(unit="rad/s", default=0.02), Noise(unit="-", default=0.05, label=", share of ω")),
     measure=measured_yaw_rate,
     settings=dict(
         sigma=Setting("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),

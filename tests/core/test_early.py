@@ -79,20 +79,6 @@ def test_a_structure_that_is_loaded_often_is_replaced_with_the_same_bits(cache):
     assert early.load(build_pendulum, 3) is optimised
 
 
-@pytest.mark.nightly
-def test_where_nobody_waits_more_loads_are_needed(cache, monkeypatch):
-    monkeypatch.setenv("RHEC_UNATTENDED", "1")
-    first = early.load(build_pendulum, 3)
-    for _ in range(early.WORTH_OPTIMISING):
-        assert early.load(build_pendulum, 3) is first
-    wait()
-    assert n_libraries(cache) == 1
-    for _ in range(early.worth_optimising() - early.WORTH_OPTIMISING - 1):
-        early.load(build_pendulum, 3)
-    wait()
-    assert early.load(build_pendulum, 3) is not first
-
-
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "fields", [dict(estimation_horizon=2, prediction_horizon=2), {}, dict(speed_model="slipping")]

@@ -101,8 +101,26 @@ def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
     most = noise_level.TUNED.patience
     error = np.linalg.norm(places - drives.places, axis=-1)
     assert not ok[:, 30 : 29 + most].any() and ok[:, 29 + most].all()
-    assert error[:, 30 : 29 + most].max() < 1 and error.max() < 1500
+    # Each coordinate scatters by 5.8 km, the end of a line through 16 of them by half as much.
+    assert error[:, 30 : 29 + most].max() < 1 and error.max() < 2900
     assert ok[:, -100:].all() and error[:, -100:].max() < 0.3
+
+
+def test_after_a_storm_of_absurd_samples_the_estimate_is_back():
+    """A window whose solution swings does not take its own swings for noise of the receiver."""
+    clean = table.paper_drives(range(8))
+    z, places = (np.tile(each, (10, 1, 1)) for each in (clean.z, clean.places))
+    rng = np.random.default_rng(0)
+    storm = z[:, 100:160]
+    sign = rng.choice([-1, 1], storm.shape)
+    absurd = sign * 10.0 ** rng.uniform(-3, 8, storm.shape)
+    near = rng.uniform(-100, 100, storm.shape)
+    absurd = np.where(rng.uniform(size=storm.shape) < 0.5, near, absurd)
+    share = rng.uniform(size=(len(z), 1, 1))
+    z[:, 100:160] = np.where(rng.uniform(size=storm.shape) < share, absurd, storm)
+    estimator = table.paper_estimators("prediction")["RHE"]
+    found, _ = table.run(estimator, table.Drives(z, places))
+    assert np.linalg.norm(found - places, axis=-1)[:, -50:].max() < 0.5
 
 
 @pytest.mark.parametrize("factor", [3.0, 1e3, 1e7])
@@ -131,8 +149,12 @@ def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
     remembered = {
         f"{name}_after": ca.DM.ones(*shape) for name, shape in gate.memory(window).items()
     }
-    result = dict(ok=ca.DM(1), covariance=ca.diag(ca.DM([1.0, variance])))
-    flags = gate.conclude(window, {}, dict(agrees=1, restart=1) | remembered, result)
+    s = ca.DM.zeros(window.interval.n_s)
+    estimate = ca.DM.zeros(len(window.estimated))
+    covariance = ca.diag(ca.DM([1.0, variance]))
+    result = dict(ok=ca.DM(1), covariance=covariance, estimate=estimate)
+    verdict = dict(agrees=1, restart=1, s_predicted=s)
+    flags = gate.conclude(window, {}, verdict | remembered, result)
     assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
     for name in remembered:
         assert (flags[name].full() == is_ok).all()

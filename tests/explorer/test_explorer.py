@@ -99,6 +99,35 @@ def test_the_tabs_are_the_groups_of_the_scenario():
     assert group["sensors"] == "Sensors"
 
 
+# Parameters for which the explorer has other means, and those that it leaves to Python: objects;
+# what an estimator assumes of slip and sensors; a timing whose effect is too small to be seen; and
+# a width that would be compiled anew for each value, for tracks that slip.
+ELSEWHERE = {"estimator", "process_noise", "seed", "patches"}
+IN_PYTHON = {"path", "terrain", "controller"}
+IN_PYTHON |= {"slip", "sigma_gyro", "sigma_heading", "traction_timing", "track_width_m"}
+
+
+def test_each_parameter_of_a_scenario_has_a_control_or_a_reason():
+    controlled = {key if isinstance(key, str) else key[0] for key in controls.CONTROLS}
+    forgotten = {*vars(rhec.Scenario())} - controlled - ELSEWHERE - IN_PYTHON
+    assert not forgotten, (
+        f"Scenario has {sorted(forgotten)}, for which the explorer has no control; "
+        "rhec/explorer/controls.py should have one, or the sets above this test the name"
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: controls._slider("gyro_drift", "drift", 0, 1, 0.1), "'gyro_drift', which is no"),
+        (lambda: controls._selection("turns", "turns", ("left",)), "one for each of .'alternate'"),
+    ],
+)
+def test_a_control_that_does_not_fit_the_scenario_is_refused(make, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
 def test_own_process_noise_has_the_size_each_estimator_takes():
     """The slider's entry stays, and what is not estimated falls out."""
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}

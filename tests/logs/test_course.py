@@ -9,6 +9,10 @@ import pytest
 from helpers import may_be_unsure, recorded_log, warns_of_an_unknown_yaw
 
 import rhec
+from rhec.logs import course
+from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.recording import prepare
+from rhec.logs.replay import estimate_samples, replay_scenario
 
 UNSURE_RAD = 0.25
 DT_S = 0.01
@@ -49,9 +53,8 @@ def yaw_error(estimates):
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("follows_s, seed", [(2.0, 21), (1.0, 20), (4.0, 22)])
 def test_on_ice_a_wrong_yaw_is_an_uncertain_one(follows_s, seed, smooth):
-    with warns_of_an_unknown_yaw():
+    with pytest.warns(UserWarning, match="^The yaw is not known to .* slips sideways"):
         result = rhec.replay(on_ice(follows_s, seed), smooth=smooth, trust_log=True)
-    assert "slips sideways" in result.attrs["remarks"][0]
     error = yaw_error(result)
     is_bad = error > 0.5
     flagged = (result["sigma_theta_rad"] > UNSURE_RAD) | ~result["ok"]
@@ -102,6 +105,35 @@ def test_a_yaw_held_for_sure_is_doubted_where_it_is_wrong(turned):
     flagged = (result["sigma_theta_rad"] > UNSURE_RAD) | ~result["ok"]
     assert flagged[yaw_error(result) > 0.5].mean() > 0.5
     assert yaw_error(result).iloc[-1] < 0.1
+
+
+@pytest.fixture(scope="module")
+def on_its_way():
+    """{whether the robot slips: samples of a replay, and the noise of the positions [m]}."""
+    logs = {True: on_ice(2.0, 21), False: recorded_log(5.0, 120.0, noise_m=0.03, seed=1)}
+    found = {}
+    for slips, log in logs.items():
+        recording = prepare(log)
+        samples = estimate_samples(recording, replay_scenario("rhe", recording, {}))
+        found[slips] = samples, position_sigma_m(recording.rows)
+    return found
+
+
+@may_be_unsure
+@pytest.mark.nightly
+@pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("name", course.Tuned._fields)
+def test_no_number_of_the_course_is_tuned_finely(on_its_way, monkeypatch, name, times):
+    tuned = course.Tuned()
+    changed = type(getattr(tuned, name))(times * getattr(tuned, name))
+    monkeypatch.setattr(course, "TUNED", tuned._replace(**{name: changed}))
+    for slips, (samples, noise_m) in on_its_way.items():
+        sigma = course.yaw_sigma_rad(samples, noise_m)
+        error = yaw_error(samples)
+        if slips:
+            assert (sigma[error > 0.5] > UNSURE_RAD).mean() > 0.9
+        else:
+            assert (sigma[error < 0.2] > UNSURE_RAD).mean() < 0.15
 
 
 def test_some_outliers_are_no_side_slip():

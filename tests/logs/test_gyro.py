@@ -100,8 +100,6 @@ def test_a_gyro_that_fails_in_mid_log_is_left_out(kind, begin_s, without):
     used = result["gyro_accepted"]
     assert used[fails].mean() < 0.15
     assert used[log["t_s"] > begin_s + 40].mean() > 0.98
-    remarks = " ".join(result.attrs["remarks"])
-    assert ("The gyro is left out" in remarks) == (kind != "silent")
 
 
 def test_a_sample_that_repeats_itself_or_is_absurd_is_left_out():

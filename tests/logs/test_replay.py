@@ -339,18 +339,6 @@ def test_the_lever_arm_can_be_given_or_estimated():
     )
 
 
-@may_be_unsure
-def test_the_lever_arm_of_a_bag_is_where_the_estimate_of_it_begins():
-    log = recorded_log(arm_m=(0.3, -0.2), noise_m=0.01, duration_s=40.0)
-    without = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
-    log.attrs["lever_arm_m"] = (0.3, -0.2)
-    begun = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
-    arm = ["arm_forward_hat_m", "arm_left_hat_m"]
-    np.testing.assert_allclose(begun[arm].iloc[0], (0.3, -0.2), atol=1e-3)
-    off = [np.abs(each[arm] - np.array((0.3, -0.2))).mean().max() for each in (begun, without)]
-    assert off[0] < 0.5 * off[1]
-
-
 def test_segments_are_independent():
     second = recorded_log(start_rad=2.0, noise_m=0.02, seed=1)
     both = pd.concat(

@@ -89,12 +89,13 @@ def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
 def calibrated():
     log = recorded_log(5.0, 150.0, noise_m=0.03, seed=3, arm_m=(0.25, -0.1))
     noise = 0.01 * np.random.default_rng(1).standard_normal(len(log))
-    return rhec.calibrate(log.assign(gyro_radps=1.02 * log["yaw_rate_true_radps"] + 0.03 + noise))
+    gyro = 1.02 * log["yaw_rate_true_radps"] + 0.03 + noise
+    return rhec.log(log.assign(gyro_radps=gyro), calibrate=True)
 
 
 @pytest.mark.nightly
 def test_a_calibration_speaks_of_multipliers(calibrated):
-    terms = calibrated.terms
+    terms = calibrated.parameters
     truth = {
         "wheel_separation_multiplier (1/κ)": 1 / KAPPA,
         "effective track width": TRACK_WIDTH_M / KAPPA,
@@ -116,7 +117,7 @@ def test_a_calibration_speaks_of_multipliers(calibrated):
 def test_its_yaml_has_the_parameters_of_the_driver(calibrated):
     for line in ("wheel_separation_multiplier: 1.", "left_wheel_radius_multiplier: 0."):
         assert line in calibrated.yaml
-    for name, (value, low, high, unit) in calibrated.terms.iterrows():
+    for name, (value, low, high, unit) in calibrated.parameters.iterrows():
         assert f"# {name}: {value:.4g} {unit} ({low:.4g} to {high:.4g})" in calibrated.yaml
 
 

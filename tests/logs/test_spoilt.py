@@ -86,7 +86,7 @@ def late_by(delay_s, duration_s):
 @pytest.mark.usefixtures("without_a_search")
 def test_the_delay_is_measured_without_the_noise():
     found = rhec.calibrate(late_by(0.3, 60.0), trust_log=True)
-    row = found.terms.loc["delay of the positions"]
+    row = found.report.loc["delay of the positions"]
     assert any("position_delay_s" in remark for remark in found.remarks)
     assert row["low"] < 0.3 < row["high"]
     assert row["value"] == pytest.approx(0.3, abs=0.05)
@@ -96,7 +96,7 @@ def test_the_delay_is_measured_without_the_noise():
 @pytest.mark.parametrize("delay_s", [0.3, 0.0])
 def test_calibration_measures_the_delay_beside_the_lever_arm(delay_s):
     found = rhec.calibrate(late_by(delay_s, 150.0), trust_log=True)
-    row = found.terms.loc["delay of the positions"]
+    row = found.report.loc["delay of the positions"]
     assert any("position_delay_s" in remark for remark in found.remarks) == (delay_s > 0)
     assert row["low"] < delay_s < row["high"] and row["high"] - row["low"] < 0.3
     assert not any("wander" in remark for remark in found.remarks)  # the noise is white
@@ -118,7 +118,7 @@ def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
     """Its errors wander for minutes, which no log shows: 0.02 m of them is white noise."""
     log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)
     found = rhec.calibrate(log)
-    assert found.terms.loc["GNSS noise", "value"] == pytest.approx(0.8)
+    assert found.report.loc["noise of the position", "value"] == pytest.approx(0.8)
     assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
 
 

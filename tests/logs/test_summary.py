@@ -158,7 +158,7 @@ def test_the_command_prints_it_and_writes_all(capsys, tmp_path):
     said = capsys.readouterr()
     assert "Trust it." in said.out
     assert len(pd.read_csv(tmp_path / "out" / "estimates.csv")) == len(LOG)
-    assert all((tmp_path / "out" / name).is_file() for name in FILES if name != "traction.geojson")
+    assert all((tmp_path / "out" / name).is_file() for name in FILES)
     assert (tmp_path / "out" / "C" / "README.txt").is_file()
     assert main(words) == 2
     assert "exists" in capsys.readouterr().err
@@ -195,7 +195,6 @@ def test_the_bag_of_a_husky_takes_one_command(tmp_path, capsys):
     for topic in ("/fix", "/husky/odometry", "/imu/data"):
         assert topic in said
     assert "Trust it." in said
-    assert (tmp_path / "out" / "traction.geojson").is_file()
 
 
 # For ROS
@@ -249,15 +248,21 @@ def test_its_yaml_is_what_ros_reads(summary):
         assert f"# {name}: " in summary.yaml
 
 
+def parameters(slope):
+    """Those of a robot whose traction is the same in all directions."""
+    samples = pd.DataFrame([dict.fromkeys(ESTIMATE, 0.0)])
+    return terms.of_log((slope, slope, slope), samples, 1.0)
+
+
 def test_round_numbers_and_unknown_ones_are_what_ros_reads():
     """A track 1 m wide, and a traction that is not known."""
     noise = terms.Noise((0.0, 1.0, 2.0), (1e-9, 1.0, 10.0))
     round_one = terms.Slope(1.0, 0.0)
-    table = terms.table(round_one, round_one, 1.0, {})
+    table = parameters(round_one)
     told = read_as_ros(terms.as_yaml(table, 1.0, noise, 10.0))
     assert told["diff_drive_controller"]["wheel_separation"] == 1.0
     unknown = terms.Slope(np.nan, np.nan)
-    text = terms.as_yaml(terms.table(unknown, unknown, 1.0, {}), 1.0, noise, 10.0)
+    text = terms.as_yaml(parameters(unknown), 1.0, noise, 10.0)
     assert yaml.safe_load(text) is None and "too short" in text
 
 

@@ -26,7 +26,8 @@ def on_arc(s, c=CURVATURE):
 
 def command(pose, x_ref, bound=paper.OMEGA_MAX_RADPS):
     signals = dict(s_0=[*pose, *P], x_ref=x_ref, u_ref=np.zeros((1, N)), **WEIGHTS)
-    result = ltv_mpc.build_step(N)(**signals, lower=-bound, upper=bound)
+    step = ltv_mpc.controller(rhec.Scenario(prediction_horizon=N)).step
+    result = step(**signals, lower=-bound, upper=bound)
     assert result["ok"] == 1
     return float(result["command"])
 

@@ -80,6 +80,8 @@ def test_each_robot_is_left_out_once():
     own = rows.query("log == 'one' and estimator == 'RHE' and tuned == 'itself'")["yaw_rms_rad"]
     cell = means.loc[("one", "RHE", "itself"), "yaw_rms_rad"]
     assert cell.n == 2 and cell.mean == pytest.approx(own.mean()) and cell.low < own.mean()
+    told = transfer.of_the_page(rows).set_index(["log", "estimator", "tuned"])
+    assert told.loc[("one", "RHE", "itself"), "yaw_rms_rad"] == pytest.approx(own.mean())
 
 
 def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():

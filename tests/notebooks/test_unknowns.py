@@ -147,3 +147,11 @@ def test_by_each_rule_the_robot_has_its_noise(monkeypatch):
     for (world, robot, rule), scenarios in driven.items():
         expected = unknowns.ROBOTS[robot] | unknowns.WORLDS[world] | dict(process_noise=rule)
         assert scenarios == [rhec.Scenario(**expected, seed=seed) for seed in (0, 1)]
+
+
+def test_in_short_it_names_what_pays_most_and_where_the_traction_does():
+    """Of errors that are made up, in which the drift pays, and of the map of this commit."""
+    said = unknowns.in_short(unknowns.worth_table(made_up(drift_pays)))
+    assert said.startswith("Tune the controller's weight R first: it takes ")
+    assert "Then estimate the yaw drift," in said and "**" not in said
+    assert said.count(". ") == 2 and said.endswith(".")

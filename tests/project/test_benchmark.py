@@ -2,61 +2,67 @@
 time is asserted.
 """
 
+import importlib
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from benchmark import acados_peer, instructions, peers, problems, step
+from benchmark import acados_peer, first, floor, instructions, lines, peers, problems, step, tables
 
-pytestmark = pytest.mark.nightly
+nightly = pytest.mark.nightly
+
+
+@pytest.fixture(scope="module", params=["robot", "rod"])
+def loop(request):
+    """A short loop of each system."""
+    if request.param == "robot":
+        return problems.robot(horizon=15, samples=20)
+    return problems.rod(states=3, samples=20)
 
 
 @pytest.fixture(scope="module")
-def run():
-    return problems.drive(samples=20)
+def recorded(loop):
+    return problems.record(loop)
 
 
-@pytest.fixture(scope="module")
-def recorded(run):
-    return problems.record(run)
-
-
-def test_problems_are_the_full_windows_of_the_run(run, recorded):
-    z = problems.measured(run)
+@nightly
+def test_problems_are_the_full_windows_of_the_run(loop, recorded):
     assert len(recorded) == 20
     for k, problem in enumerate(recorded):
-        np.testing.assert_array_equal(problem.z, z[k : k + 16].T)
+        np.testing.assert_array_equal(problem.z, loop.z[k : k + 16].T)
         assert np.linalg.eigvalsh(problem.H).min() > 0
-        assert problem.xi_ref.shape == (
-            3,
-            16,
-        ) and problem.omega_ref.shape == problem.omega_plan.shape == (15,)
+        assert problem.x_ref.shape == (3, 16)
+        assert problem.u_ref.shape == (1, 15) and problem.plan.shape == (15,)
 
 
+@nightly
 @pytest.mark.parametrize("name", peers.PEERS)
-def test_every_peer_finds_the_same_optimum(name, recorded):
-    rhe, rhc = (make(recorded[0]) for make in peers.PEERS[name])
+def test_every_peer_finds_the_same_optimum(name, loop, recorded):
+    rhe, rhc = (make(loop.case, recorded[0]) for make in peers.PEERS[name])
     row = step.difference(name, [(rhe(problem), rhc(problem)) for problem in recorded], recorded)
     assert step.agreed(row), row
 
 
-def test_peers_are_sensitive_to_every_part_of_the_data(recorded):
+@nightly
+def test_peers_are_sensitive_to_every_part_of_the_data(loop, recorded):
     """Else agreement would prove little."""
-    rhe, rhc = (make(recorded[0]) for make in peers.PEERS["Opti + IPOPT"])
+    rhe, rhc = (make(loop.case, recorded[0]) for make in peers.PEERS["Opti + IPOPT"])
     last = recorded[-1]
     for change in (dict(z=last.z + 0.01), dict(m=last.m + 0.01), dict(H=2 * last.H)):
         assert np.abs(rhe(last._replace(**change)) - last.estimate).max() > step.TOLERANCE
     for change in (
         dict(estimate=last.estimate + 0.01),
-        dict(xi_ref=last.xi_ref + 0.01),
-        dict(omega_ref=last.omega_ref + 0.01),
+        dict(x_ref=last.x_ref + 0.01),
+        dict(u_ref=last.u_ref + 0.01),
     ):
-        assert np.abs(rhc(last._replace(**change)) - last.omega_plan).max() > step.TOLERANCE
+        assert np.abs(rhc(last._replace(**change)) - last.plan).max() > step.TOLERANCE
 
 
-def test_agreement_counts_the_iterations_that_convergence_takes(run, recorded):
-    table, iterations = step.agreement(run, recorded)
+@nightly
+def test_agreement_counts_the_iterations_that_convergence_takes(loop, recorded):
+    table, iterations = step.agreement(loop, recorded)
     assert iterations > 1
     assert list(table["contestant"])[-iterations:] == [
         f"rhec, {n} iteration{'s' * (n > 1)} a sample" for n in range(1, iterations + 1)
@@ -64,10 +70,23 @@ def test_agreement_counts_the_iterations_that_convergence_takes(run, recorded):
     assert table["rhe_maximum"].iloc[-1] <= step.TOLERANCE < table["rhe_maximum"].iloc[-iterations]
 
 
-def test_without_agreement_nothing_is_timed(run, recorded):
-    wrong = [problem._replace(omega_plan=problem.omega_plan + 1e-5) for problem in recorded]
-    with pytest.raises(SystemExit, match="nothing was timed"):
-        step.agreement(run, wrong)
+@nightly
+def test_who_does_not_agree_is_not_timed(loop, capsys, monkeypatch):
+    def wrong(case, first):
+        return lambda problem: problem.estimate + 1e-5
+
+    def right(case, first):
+        return lambda problem: problem.plan
+
+    monkeypatch.setattr(peers, "PEERS", {"nobody": (wrong, right), "somebody": (right_rhe, right)})
+    monkeypatch.setattr(acados_peer, "command", lambda: None)
+    _, table = step.measure(loop, rounds=2)
+    assert "nobody" not in {*table["contestant"]} and "somebody" in {*table["contestant"]}
+    assert "nobody is left out" in capsys.readouterr().out
+
+
+def right_rhe(case, first):
+    return lambda problem: problem.estimate
 
 
 def test_contestants_take_turns_and_sums_are_sums():
@@ -93,21 +112,74 @@ def test_contestants_take_turns_and_sums_are_sums():
     assert table["B", "closed loop", "overall"] == 5
 
 
-def test_the_step_is_measured(monkeypatch):
-    monkeypatch.setattr(step, "SAMPLES", 20)
-    agreeing, table = step.measure(rounds=2, counted=False)
+@nightly
+def test_the_step_is_measured(loop):
+    agreeing, table = step.measure(loop, rounds=2)
     whole = table[table["problem"].isin(step.WHOLE)].set_index("contestant")
-    assert set(whole.index) == {
-        "rhec, closed loop",
-        "rhec, one iteration",
-        "rhec, in C",
-        "rhec, to convergence",
-        *peers.PEERS,
-        *(acados_peer.NAMES.values() if acados_peer.command() else []),
-    }
+    wanted = {step.FROM_PYTHON, instructions.IN_C, step.CONVERGED, *peers.PEERS}
+    wanted |= {instructions.CLOSED_LOOP} if loop.case.papers else set()
+    wanted |= {*(acados_peer.NAMES.values() if acados_peer.command() else [])}
+    assert {*whole.index} == wanted
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
-    if step.REFERENCE in peers.PEERS:
-        assert whole.loc[step.REFERENCE, step.SPEEDUP] == 1
+    assert whole.loc[step.FROM_PYTHON, "ratio"] == 1
+
+
+@nightly
+def test_the_first_result_of_a_cold_cache_takes_longer():
+    times = first.measure(rounds=1).set_index(["contestant", "cache"])["cpu_s"]
+    assert times[first.RHEC, "cold"] > times[first.RHEC, "warm"] > 0
+
+
+# What needs no measurement
+
+
+def test_operations_are_counted_without_what_only_moves_values():
+    x = ca.SX.sym("x", 2)
+    product = ca.Function("f", [x], [x[0] * x[1] + ca.sin(x[0]), x[1]])
+    assert floor.operations(product) == {ca.OP_MUL: 1, ca.OP_ADD: 1, ca.OP_SIN: 1}
+    y = ca.MX.sym("y", 2)
+    first, _ = product(y)
+    outer = ca.Function("g", [y], [first * y])  # a call, and a product of two entries
+    assert floor.operations(outer) == {ca.OP_MUL: 3, ca.OP_ADD: 1, ca.OP_SIN: 1}
+
+
+def test_lines_that_hold_code_are_counted():
+    text = (
+        '"""A page."""\n\n# why\nx = (\n    1,\n)\n\n\ndef f():\n    """Text\n    of f."""\n'
+        "    return x  # it\n"
+    )
+    assert lines.count(text) == 5
+
+
+@pytest.mark.parametrize(
+    "seconds, text",
+    [(4.29e-6, "4.3 µs"), (1.234e-4, "123 µs"), (0.0112, "11 ms"), (9226e-6 * 1200, "11 s"),
+     (75.0, "75 s"), (1000.0, "17 min"), (11000.0, "3.1 h")],
+)  # fmt: skip
+def test_times_are_told_in_the_unit_that_suits_them(seconds, text):
+    assert tables.in_units(seconds) == text
+
+
+def test_the_first_table_sets_every_tool_beside_the_others():
+    rows = tables.beside_peers().splitlines()
+    assert [row.split("|")[1].strip() for row in rows[2:]][:2] == [
+        "rhec, from Python",
+        "acados, in C",
+    ]
+    assert "do-mpc" in rows[-1] and "–" not in rows[-1]
+
+
+@pytest.mark.parametrize("task", lines.TASKS)
+def test_both_ways_to_write_a_tutorial_come_to_the_same(task):
+    ours = importlib.import_module(f"benchmark.tutorials.{task}_rhec").LAST
+    if task == "mpc":
+        np.testing.assert_allclose(ours, 0.0, atol=2e-3)
+    else:
+        np.testing.assert_allclose(ours, 2.25e-4, rtol=0.02)
+    if peers.do_mpc:
+        with peers.quiet():
+            theirs = importlib.import_module(f"benchmark.tutorials.{task}_do_mpc").LAST
+        np.testing.assert_allclose(ours, theirs, atol=1e-3 if task == "mpc" else 0, rtol=0.02)
 
 
 CALLGRIND = """\

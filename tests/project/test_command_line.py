@@ -218,12 +218,20 @@ def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
 def test_every_command_has_help(capsys):
     assert main(["--help"]) == 0
     names = re.findall("^│ ([a-z]+) ", capsys.readouterr().out, re.MULTILINE)
-    assert names == ["campaign", "export", "lab", "log", "simulate"]
+    assert names == ["lab", "log", "simulate", "campaign", "export"]  # in the order of use
     for name in names:
         assert main([name, "--help"]) == 0
         text = capsys.readouterr().out
         assert f"Usage: rhec {name}" in text
         assert name == "lab" or f"For example: rhec {name} " in text
+
+
+def test_export_names_only_what_changes_the_code(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    assert main(["export", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(f" --{name} " in text for name in ("estimator", "q", "turns", "sensors"))
+    assert not any(f" --{name} " in text for name in ("mu-mean", "gnss-sigma-m", "seed"))
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -8,6 +8,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from docs.site.packages import closure, measure, megabytes
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 # One entry of environment.txt: the requirement, and its digests on the lines that follow.
@@ -41,6 +43,20 @@ def test_a_user_of_notebooks_gets_no_builder_of_sites():
     lab = {Requirement(text).name for text in PROJECT["project"]["optional-dependencies"]["lab"]}
     assert lab.isdisjoint({"furo", "latex2mathml", "myst-nb", "sphinx", "typst"})
     assert {"jupyterlab", "papermill"} <= lab
+
+
+def test_what_an_extra_adds_is_counted_once_and_with_all_that_it_needs():
+    alone = closure("rhec")
+    assert {"casadi", "numpy", "annotated-types"} <= alone  # the last one is pydantic's
+    assert alone.isdisjoint({"rhec", "matplotlib", "jupyterlab", "pytest"})
+    assert {"matplotlib", "kiwisolver", "jupyterlab", "loky"} <= closure("rhec", "all")
+    assert "jupyterlab" not in closure("rhec", "plots")
+    table = measure().set_index("extra")
+    assert table.loc["", "packages"] == len(alone)
+    assert table.loc["plots", "packages"] == len(closure("rhec", "plots") - alone)
+    parts = [table.loc[name, "megabytes"] for name in ("plots", "logs", "campaigns")]
+    assert max(parts) < table.loc["all", "megabytes"]
+    assert megabytes("casadi") > megabytes("tqdm") > 0
 
 
 def test_engines_are_pinned_beside_what_is_installed(environment):

@@ -15,7 +15,7 @@ from rhec.core.controller import rhc
 from rhec.tracked_robot import yaw_disturbance
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
-from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhc import problem_of_scenario
 
 HORIZON = 8
 TRUTH = dict(zip(QUANTITIES, (1.0, 2.0, 0.4, 0.5, 0.9, 0.75)))
@@ -114,7 +114,7 @@ def test_the_oracle_is_passed_the_drift():
 
 def test_a_known_disturbance_moves_the_command_and_its_bounds():
     """The compensated RHC commands what an RHC that plans with it would, less the disturbance."""
-    horizon = stages_of(HORIZON)
+    horizon = problem_of_scenario(rhec.Scenario(prediction_horizon=HORIZON)).stages
     plain = rhc.build_phases(horizon)["step"]
     move, take_off = yaw_disturbance.moved_bounds(), yaw_disturbance.taken_off()
     pose, p = np.array([0.0, 0.05, 0.0]), np.array([0.5, 0.9, 0.8])

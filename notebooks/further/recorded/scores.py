@@ -8,8 +8,8 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs.checks import refuse
+from rhec.logs.course import UNSURE_YAW_RAD
 from rhec.logs.recording import delayed, prepare
-from rhec.logs.remarks import UNSURE_YAW_RAD
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS, measured_of
 from rhec.simulation.fault_signals import corrupted
@@ -19,8 +19,9 @@ FROM_M = 8.0
 WINDOW_S = 5.0  # window of the sliding regressions
 REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
 _FAST_RADPS = 0.8  # yaw_rms_slow_rad leaves out faster spins
-_BAD_RAD = 0.5  # a larger error of the yaw is bad
-_GOOD_RAD = 0.2  # a smaller one is good
+BAD_RAD = 0.5  # a larger error of the yaw is bad
+GOOD_RAD = 0.2  # a smaller one is good
+Z_95 = 1.96  # standard deviations
 _AHEAD_S = 2.0  # horizon of the predictions by the encoders
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _STRAIGHT_RAD = 0.05  # most that the robot turns in a straight second
@@ -60,26 +61,38 @@ def yaw_error(samples):
     return (samples["theta_hat_rad"] - samples["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
 
 
-def mounting_angle_rad(log):
-    """By how much the true yaw of a log is off the direction in which its robot drives [rad].
+def straight_angles(log):
+    """Angles from the true yaw to the true way in straight seconds (n,) [rad], and speeds (n,).
 
-    It is the median angle from the true yaw to the true way in straight seconds, forwards and
-    backwards, and 0 without such seconds. A reference whose frame is mounted at an angle has it all
-    the time. No sensor of the robot tells it, and no estimator can: their yaw is the direction in
-    which the robot drives.
+    The way is that of the robot ahead, so that reversing does not turn it.
 
     Args:
         log: DataFrame of a recording with its truth.
     """
     n = round(1.0 / paper.DT_S)
-    angles = []
+    angles, speeds = [], []
     for samples in prepare(log).samples():
         place = samples["x_m"].to_numpy() + 1j * samples["y_m"].to_numpy()
         yaw = samples["theta_rad"].to_numpy()
-        way = (place[n:] - place[:-n]) * np.sign(samples["nu_meas_mps"].to_numpy()[n:])
+        speed = samples["nu_meas_mps"].to_numpy()[n:]
+        way = (place[n:] - place[:-n]) * np.sign(speed)
         is_straight = (np.abs(yaw[n:] - yaw[:-n]) < _STRAIGHT_RAD) & (np.abs(way) > _STRAIGHT_M)
         angles.append(np.angle(way * np.exp(-0.5j * (yaw[n:] + yaw[:-n])))[is_straight])
-    angles = np.concatenate(angles)
+        speeds.append(speed[is_straight])
+    return np.concatenate(angles), np.concatenate(speeds)
+
+
+def mounting_angle_rad(log):
+    """By how much the true yaw of a log is off the direction in which its robot drives [rad].
+
+    It is the median of `straight_angles`, and 0 without such seconds. A reference whose frame is
+    mounted at an angle has it all the time. No sensor of the robot tells it, and no estimator can:
+    their yaw is the direction in which the robot drives.
+
+    Args:
+        log: DataFrame of a recording with its truth.
+    """
+    angles, _ = straight_angles(log)
     return float(np.median(angles)) if len(angles) else 0.0
 
 
@@ -150,9 +163,9 @@ def score(samples):
             yaw_rms_rad=rms(error),
             yaw_rms_slow_rad=rms(error[is_slow]),
             nees_yaw=(error**2 / sigma**2).mean(),
-            inside_95=(error.abs() <= 1.96 * sigma)[error.notna()].mean(),
-            bad_unsure=is_unsure[error.abs() > _BAD_RAD].mean(),
-            good_unsure=is_unsure[error.abs() < _GOOD_RAD].mean(),
+            inside_95=(error.abs() <= Z_95 * sigma)[error.notna()].mean(),
+            bad_unsure=is_unsure[error.abs() > BAD_RAD].mean(),
+            good_unsure=is_unsure[error.abs() < GOOD_RAD].mean(),
         )
     if {"x_m", "y_m"} <= set(samples):
         values["position_rms_m"] = rms(*_position_error(counted))

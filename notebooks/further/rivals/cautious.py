@@ -144,15 +144,16 @@ def controller(scenario, caution=0.25):
     """
     choice = Choice.of(scenario)
     path = path_of(scenario)
+    stages, settings = paper_rhc.problem_of_scenario(scenario)
     structure = (
         estimator_of(choice.estimator).states(choice),
         estimator_of(choice.estimator).has_yaw_drift(choice),
-        scenario.prediction_horizon,
+        stages,
         scenario.traction_timing,
         len(path.segments),
     )
     guess = first_guess(scenario, path)
-    plan = plan_init(paper_rhc.stages_of(scenario.prediction_horizon), guess[:3], guess[3:])
+    plan = plan_init(stages, guess[:3], guess[3:], settings)
     memory = (*pack_array(plan).tolist(), scenario.speed_mps)
     return _made(compiled.loop_symbols(), structure, caution, memory)
 
@@ -161,8 +162,8 @@ def controller(scenario, caution=0.25):
 @functools.lru_cache(maxsize=64)
 def _made(symbols, structure, caution, memory):
     """The Controller; `symbols` is the kind that Functions may use, which depends on a compiler."""
-    states, has_yaw_drift, N, timing, n_segments = structure
-    control = paper_rhc.build_step(N, timing)
+    states, has_yaw_drift, stages, timing, n_segments = structure
+    control = paper_rhc.build_step(stages, timing)
     if has_yaw_drift:
         control = _compensated(control)
     return rhec.Controller(build_step(control, states, n_segments, paper.DT_S, caution), memory)

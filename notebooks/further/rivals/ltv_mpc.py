@@ -16,19 +16,18 @@ import casadi as ca
 import rhec
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.controller import rhc
-from rhec.tracked_robot.paper_rhc import stages_of
+from rhec.tracked_robot.paper_rhc import problem_of_scenario
 from rhec.tracked_robot.references import LEAST_KAPPA
 
 
 def controller(scenario):
     """Linear time-varying MPC for a Scenario, as a rhec.Controller."""
-    return rhec.Controller(build_step(scenario.prediction_horizon))
+    return rhec.Controller(build_step(problem_of_scenario(scenario).stages))
 
 
 @functools.cache
-def build_step(N):
-    """The step of the controller, over N intervals."""
-    stages = stages_of(N)
+def build_step(stages):
+    """The step of the controller, with the Stages of the paper's RHC."""
     phases = rhc.build_phases(stages)
 
     @casadi_function("ltv_mpc_step", ca.MX, **stages.weights, **stages.data)
@@ -38,7 +37,7 @@ def build_step(N):
         kappa = ca.fmax(parameters[2], LEAST_KAPPA)
         omega = (x_ref[2, 1:] - x_ref[2, :-1]) / (kappa * stages.dt_s)
         u = ca.fmin(ca.fmax(omega, signals["lower"]), signals["upper"])
-        s = ca.vertcat(x_ref, ca.repmat(parameters, 1, N + 1))
+        s = ca.vertcat(x_ref, ca.repmat(parameters, 1, stages.N + 1))
         values = signals | dict(s=s, u=u)
         for phase in ("linearise", "feedback", "expand"):
             function = phases[phase]

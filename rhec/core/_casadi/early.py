@@ -6,26 +6,14 @@ structure that is run often is compiled again by a thread and replaced.
 """
 
 import functools
-import multiprocessing
-import os
 import threading
 
 from rhec.core._casadi import cache, compiled
 
 THREAD = "rhec compiler"  # the name of all threads that compile
-# From so many loads on, a structure is worth optimising where a person waits: it takes a second or
-# two of another core. Workers and executed notebooks leave no core idle, and there it has to pay.
-# Optimising takes as long as it saves in 100 to 200 runs of 240 s.
-WORTH_OPTIMISING = 12
-_WORTH_OPTIMISING_UNATTENDED = 120
-
-
-def worth_optimising():
-    """Return the number of loads of a structure from which on this process optimises it."""
-    is_worker = multiprocessing.parent_process() is not None
-    if is_worker or os.environ.get("RHEC_UNATTENDED"):
-        return _WORTH_OPTIMISING_UNATTENDED
-    return WORTH_OPTIMISING
+# From so many loads on, a structure is optimised: that takes as long as it saves in 100 to 200 runs
+# of 240 s. Where a person waits for many runs, as in the explorer, `optimise` is called at once.
+WORTH_OPTIMISING = 120
 
 
 def load(build, *structure):
@@ -105,7 +93,7 @@ class Library:
         has_compiler = bool(compiled.compiler())
         if has_compiler and self._functions and not self._is_optimised():
             self._loads += 1
-            if self._loads == worth_optimising():
+            if self._loads == WORTH_OPTIMISING:
                 self.optimise()
             return self._functions
         if has_compiler:

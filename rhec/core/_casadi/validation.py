@@ -186,7 +186,13 @@ def validated(cls: type[_T]) -> type[_T]:
     names = list(cls.__dataclass_fields__)
     plain = _plain_signature(cls, get_type_hints(cls))
 
-    def __init__(self, **fields):
+    def __init__(self, *unnamed, **fields):
+        if unnamed:
+            name = cls.__name__
+            raise TypeError(
+                f"{name} takes its parameters by name, as in {name}({names[0]}=…); it was given "
+                f"{shown(unnamed[0])} without one"
+            )
         try:
             construct(self, **fields)
         except ValidationError as error:

@@ -162,20 +162,28 @@ def _build_condition(stages, roll_out):
         if stages.n_y:
             columns |= dict(s_old=s, u_old=repeated(u), y_ref=given["y_ref"])
             columns |= {name: given[name] for name in stages.slopes}
-        path = weights_before_end(stages, given)
-        return _at_nodes(node, stages.N, columns, path, weights_at_end(stages, given))
+        weights = weights_before_end(stages, given)
+        return _at_nodes(node, stages.N, columns, weights, weights_at_end(stages, given))
 
     return condition
 
 
 def _at_nodes(node, N, columns, weights, weights_N):
-    """The results of a node's Function at the nodes 0 … N, side by side."""
+    """The results of a node's Function at the nodes 0 … N, side by side.
+
+    Args:
+        node: The Function.
+        N: Number of intervals.
+        columns: {input: what it is at the nodes 0 … N, side by side}.
+        weights: {input: what it is at each of the nodes 0 … N-1}.
+        weights_N: The same at node N.
+    """
     widths = {name: node.size2_in(name) for name in columns}
     before_end = {name: each[:, : N * widths[name]] for name, each in columns.items()}
     at_end = {name: each[:, N * widths[name] :] for name, each in columns.items()}
-    path = node.map(N)(**before_end, **weights)
-    end = node(**at_end, **weights_N)
-    return {name: ca.horzcat(path[name], end[name]) for name in node.name_out()}
+    along = node.map(N)(**before_end, **weights)
+    last = node(**at_end, **weights_N)
+    return {name: ca.horzcat(along[name], last[name]) for name in node.name_out()}
 
 
 def _build_expand(stages, roll_out, feedback):

@@ -26,15 +26,15 @@ class Options(NamedTuple):
     r: Any
     dt: float
     horizon: int
-    bounds: Any
-    qn_factor: float
-    qn: Any
-    outputs: Any
-    q_y: Any
-    qn_y: Any
-    r_delta: Any
-    delta_bounds: Any
-    terminal_bounds: Any
+    bounds: Any = None
+    qn_factor: float = 1.0
+    qn: Any = None
+    outputs: Any = None
+    q_y: Any = None
+    qn_y: Any = None
+    r_delta: Any = None
+    delta_bounds: Any = None
+    terminal_bounds: Any = None
 
 
 class Problem(NamedTuple):
@@ -176,6 +176,8 @@ def _check_zeros(options, stages, weights):
         weight = weights[name]
         return weight if weight.ndim == 1 else np.diag(weight)
 
+    if np.all(diagonal("R") + diagonal("R_delta")):
+        return
     linearised = linearised_outputs(stages)
     C = linearised.sparsity_out("C")
     through = linearised.sparsity_out("E")

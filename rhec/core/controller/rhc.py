@@ -313,6 +313,21 @@ class RHC(RealTimeLoop):
         wanted = self._inputs["x_ref"][place]
         wanted[:] = np.unwrap([x[place], *wanted])[1:]
 
+    def _set_inputs(self, **values):
+        try:
+            super()._set_inputs(**values)
+        except ValueError as error:
+            if not any(self._has_other_horizon(*each) for each in values.items()):
+                raise
+            hint = f"the controller's horizon is {self.horizon}, and a PathTracker's must be, too"
+            raise ValueError(f"{error}; {hint}") from None
+
+    def _has_other_horizon(self, name, value):
+        """Whether a reference has a row for each quantity, but another number of columns."""
+        rows, *columns = np.shape(value) or (0,)
+        wanted = self._inputs[name].shape
+        return len(wanted) == 2 and rows == wanted[0] and columns not in ([], [wanted[1]])
+
     def _commands_before(self, u_before):
         """The commands (n_c,) among the inputs (n_u,) that were applied before, or None."""
         if u_before is None:

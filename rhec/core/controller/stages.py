@@ -195,7 +195,15 @@ class Stages(NamedTuple):
 
 
 def quantities(stages, s, u, u_before, y):
-    """w of a node, or of several side by side: states, commands, outputs, changes of commands."""
+    """w of a node, or of several side by side: states, commands, outputs, changes of commands.
+
+    Args:
+        stages: The Stages.
+        s: (n_s, n) joint states at n nodes.
+        u: (n_u, n) inputs after each.
+        u_before: (n_c, n) commands before each.
+        y: (n_y, n) outputs.
+    """
     command = list(stages.command)
     changes = [u[command, :] - u_before] if stages.has_changes else []
     return ca.vertcat(s[: stages.n_x, :], u[command, :], y, *changes)
@@ -288,13 +296,13 @@ def build_node(stages):
 def bounds_of_nodes(stages, bounds):
     """The bounds (n_rows, N+1) of all nodes, lower and upper: none where a row does not count."""
     at_end = counts_at_end(stages)[stages.rows]
-    # What counts at the end depends on no command, and so does not count at the beginning.
+    # A row depends on a command and counts at the nodes 0 … N-1, or on none and at 1 … N.
     at_begin = 1 - at_end
 
-    def of_nodes(path, end, none):
-        first = ca.if_else(at_begin, path, none)
+    def of_nodes(along, end, none):
+        first = ca.if_else(at_begin, along, none)
         last = ca.if_else(at_end, end, none)
-        return ca.horzcat(first, ca.repmat(path, 1, stages.N - 1), last)
+        return ca.horzcat(first, ca.repmat(along, 1, stages.N - 1), last)
 
     lower = of_nodes(bounds["lower"], bounds["lower_N"], -MAX_QP_ENTRY)
     return lower, of_nodes(bounds["upper"], bounds["upper_N"], MAX_QP_ENTRY)

@@ -58,7 +58,7 @@ def _shapes(function, *without):
 
 
 def _call(function, values):
-    """A Function of those of these values that it takes."""
+    """The results of a Function of those of these values that it takes, by name."""
     arguments = [values[name] for name in function.name_in()]
     # Inlined, an MX Function does not copy its results into those of the one around it.
     results = function.call(arguments, function.is_a("MXFunction"), False)
@@ -67,7 +67,7 @@ def _call(function, values):
 
 def noise_as_used(window, values, scale):
     """`values` with the variances V of a time when the noise had this scale."""
-    return values | dict(V=noise_level.scaled(window, values["V"], ca.fmax(scale, 1)))
+    return values | dict(V=noise_level.scaled(window, values["V"], scale))
 
 
 def _wrap_shift(window, shift_of_rhe, memory, symbols):
@@ -95,8 +95,9 @@ def _wrap_linearise(window, linearise_of_rhe, symbols):
 def _wrap_feedback(window, feedback_of_rhe, symbols):
     judge = window.judge
     function = judge.build(window)
+    is_clean = judge.build_is_clean(window)
     intervals = newest_interval.build(window, judge) if window.at_measured_input else None
-    shapes = _shapes(feedback_of_rhe) | _shapes(function, *newest_interval.VARIANTS)
+    shapes = _shapes(feedback_of_rhe) | _shapes(function, "is_clean", *newest_interval.VARIANTS)
     shapes |= newest_interval.needs(window) if intervals else {}
 
     @casadi_function("guarded_feedback", symbols, **shapes)
@@ -105,7 +106,8 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         given = dict(inputs)
         if intervals:
             given |= intervals(**select_inputs(intervals, given))
-        verdict = function(**select_inputs(function, given))
+        given |= is_clean(**select_inputs(is_clean, given))
+        verdict = _call(function, given)
         chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
         given = newest_interval.replaced(given, chosen)
         given = noise_as_used(window, given, verdict["scale_used"])
@@ -116,7 +118,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
             given |= whole_noise(window, given | used)
         result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
         concluded = judge.conclude(window, inputs, verdict, result)
-        for name in ("agrees", "as_measured", "is_rejected"):
+        for name in ("agrees", "as_measured", "is_rejected", "s_predicted"):
             del verdict[name]
         taken = {f"{name}_taken": piece for name, piece in chosen.items()}
         taken |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}

@@ -57,7 +57,7 @@ class HalfTurn(NamedTuple):
         beyond = of_parameter[places] @ result["multipliers"]
         return (beyond < 0) * (beyond**2 > limit * of_parameter[place])
 
-    def counted(self, window, given, is_seen):
+    def counted(self, window, given, is_seen, restart):
         """After how many samples it was seen, this one included.
 
         Args:
@@ -65,9 +65,10 @@ class HalfTurn(NamedTuple):
             given: {name: expression} of before this sample: how many there were, as `turned`, and
                 the window's age.
             is_seen: Whether this sample's window says so.
+            restart: Whether the window starts anew with this sample, so that it is not full.
         """
         before = given["turned"] * (1 - self.is_certain(window, given["turned"]))
-        unless = before * (given["age"] < window.N)
+        unless = before * ca.logic_or(given["age"] < window.N, restart)
         return ca.if_else(is_seen, before + 1, unless)
 
     def is_certain(self, window, turned):

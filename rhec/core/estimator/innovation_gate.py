@@ -14,22 +14,29 @@ later step returns. A sample has three chances:
    as a steering angle that changes sides, is no sign of a fault.
 3. Otherwise it is rejected: the judged outputs count as missing, and so do such inputs.
 
-While samples are rejected, or have no judged output, S is not that of the prediction, whose window
-loses its measurements: an arrival cost with large W would let pass anything. It is that of the last
-sample that was used, times one more than the samples that had no output since. An input that is not
-measured may be anything: deviations count once more for each sample in a row without some.
+While samples are rejected, or have no judged output, the window loses its measurements, and with a
+large W the S of its prediction would let anything pass. So S is that of the last sample that was
+used, times 1 + the number of samples that had no output since. An input that is not measured may
+have any value: after n samples in a row without some input, S is multiplied by (1 + n)², too.
 
 What is wrong may be the estimate and not the samples. Then their innovations follow each other:
 those of a position that has moved for good are all alike, those of a wrong speed grow evenly. The
-window restarts at the fourth sample rejected in a row if second differences of the innovations,
+window restarts at the fourth sample rejected in a row if two second differences of the innovations
+are no more than noise,
 
     (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit  with the variances in S alone,
 
-are twice no more than noise: white noise of variance σ² has 6σ² (von Neumann, 1941). Up to three
-wild samples therefore move nothing. So it restarts where too many are rejected in a row, whichever
-they are (`patience`). How it restarts says `new_start`. It restarts, too, where it fits the samples
-only because the robot is thought to be turned round (`half_turn`), and where the integration rule
-lets grow at the estimate what the model does not: such intervals tell of a state what is not so.
+where 6 stands because that of white noise with variance σ² is 6σ² (von Neumann, 1941). Up to three
+wild samples therefore move nothing. A window whose solution swings must not look like noisy
+samples, so that the innovations of the last two samples are moved along with the newest node, as
+the feedback moves it. The window also restarts
+
+- where too many samples are rejected in a row, whichever they are (`patience`);
+- where it fits the samples only because the robot is thought to be turned round (`half_turn`);
+- where the integration rule is unstable at the estimate although the model is not: such intervals
+  predict states that are wrong.
+
+`new_start` says how it restarts.
 """
 
 from dataclasses import dataclass
@@ -38,7 +45,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from rhec.core._casadi.build import casadi_function
+from rhec.core._casadi.build import casadi_function, short_cut
 from rhec.core.estimator import half_turn, new_start, newest_interval, noise_level
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
@@ -129,14 +136,8 @@ class InnovationGate:
             memory |= dict(opposite=(window.interval.n_s, 1))
         return memory
 
-    def build(self, window):
-        """The Function (prediction, s_N, z_N, noise, memory, …) -> how the newest sample is used.
-
-        That is `z_used` with the noise's factor `scale_used`, the prediction's `m_used` and
-        `P_used`, `agrees`, `accepted`, `restart` and where, `s_restart`, and of each piece of the
-        memory `<piece>_after`.
-        """
-        outputs = self.outputs(window)
+    def _shapes(self, window):
+        """{name: shape} of what the judge is given: prediction, sample, noise, memory."""
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (window.interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
@@ -144,23 +145,56 @@ class InnovationGate:
             shapes |= dict(age=(1, 1))
         if window.at_measured_input:
             shapes |= newest_interval.variants_of(window)
-        if self.doubts_model:
-            shapes |= dict(iteration=(1, 1))
+        return shapes | (dict(iteration=(1, 1)) if self.doubts_model else {})
 
-        @casadi_function("gate", ca.SX, **shapes)
-        def gate(m_0, P_0, z_N, v, age=None, iteration=None, **values):
-            before = {name: values.pop(name) for name in self.memory(window)}
-            noise = {name: values.pop(name) for name in window.noise}
-            predictions = _predictions(window, values)
-            seen = self._compared(window, before, noise, predictions, z_N, v, iteration)
+    def build_is_clean(self, window):
+        """The Function (prediction, s_N, z_N, noise, memory, …) -> whether nothing is unusual.
+
+        That is a sample that agrees as it was measured, after others of the noise that they should
+        have.
+        """
+
+        @casadi_function("gate_is_clean", ca.SX, **self._shapes(window))
+        def gate_is_clean(m_0, P_0, z_N, v, age=None, iteration=None, **values):
+            before, noise, predictions = self._given(window, values)
+            seen = self._compared(window, before, noise, predictions, z_N, v, iteration, 0)
+            is_first = before["rejected"] + before["missing"] == 0
+            return dict(is_clean=seen.fits * is_first * noise_level.is_usual(before))
+
+        return gate_is_clean
+
+    def _given(self, window, values):
+        """The memory, the noise and the predictions among the values that the judge is given."""
+        before = {name: values[name] for name in self.memory(window)}
+        noise = {name: values[name] for name in window.noise}
+        return before, noise, _predictions(window, values)
+
+    def build(self, window):
+        """The Function (prediction, s_N, z_N, noise, memory, …) -> how the newest sample is used.
+
+        That is `z_used` with the noise's factor `scale_used`, the prediction's `m_used` and
+        `P_used`, `agrees`, `accepted`, `restart` and where, `s_restart`, and of each piece of the
+        memory `<piece>_after`. Where the sample `is_clean`, what is for others is not computed.
+        """
+        outputs = self.outputs(window)
+
+        @short_cut("is_clean")
+        @casadi_function("gate", ca.SX, **self._shapes(window), is_clean=(1, 1))
+        def gate(m_0, P_0, z_N, v, is_clean, age=None, iteration=None, **values):
+            before, noise, predictions = self._given(window, values)
+            # A clean sample has usual ones before it: what follows from others is left out then.
+            usual = noise_level.USUAL | dict(rejected=0, missing=0, in_line=0)
+            before |= {key: ca.if_else(is_clean, each, before[key]) for key, each in usual.items()}
+            seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
             run = self._run(window, before, noise, seen, z_N, age)
             m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, m_0, P_0)
-            fits = ca.logic_or(seen.fits, run.is_noisier)
-            is_used = ca.logic_or(seen.is_used, run.is_noisier)
-            other = ca.logic_or(is_used, run.restart)
+            # The three chances: as measured, with the inputs that are kept, without its outputs.
+            as_measured = ca.if_else(run.is_noisier, 1, seen.fits)
+            is_used = ca.if_else(run.is_noisier, 1, seen.is_used)
+            has_outputs = ca.logic_or(is_used, run.restart)
             rejected = _without(outputs, seen.kept)
-            z_used = ca.if_else(fits, z_N, ca.if_else(other, seen.kept, rejected))
-            as_used = _chosen(fits, seen.at_measured, seen.at_kept)
+            z_used = ca.if_else(as_measured, z_N, ca.if_else(has_outputs, seen.kept, rejected))
+            as_used = _chosen(as_measured, seen.at_measured, seen.at_kept)
             scale, after = self._after(window, before, seen, run, is_used)
             return dict(
                 z_used=z_used,
@@ -168,8 +202,9 @@ class InnovationGate:
                 m_used=ca.if_else(run.restart, m, as_used.m),
                 P_used=ca.if_else(run.restart, P, as_used.P),
                 s_restart=run.s,
+                s_predicted=run.s_predicted,
                 m_alone=as_used.m,
-                as_measured=fits,
+                as_measured=as_measured,
                 is_rejected=1 - is_used,
                 # The QP of a window with bounds of states knows nothing of the restart.
                 agrees=ca.logic_or(is_used, run.restart * (not window.model.state_bounds)),
@@ -180,7 +215,7 @@ class InnovationGate:
 
         return gate
 
-    def _compared(self, window, before, noise, predictions, z_N, v, iteration):
+    def _compared(self, window, before, noise, predictions, z_N, v, iteration, is_clean):
         """The sample beside its predictions: what is _Seen."""
         interval = window.interval
         outputs = self.outputs(window)
@@ -209,7 +244,7 @@ class InnovationGate:
         d = _distance(new_start.innovation(outputs, z_N, m, at_measured.s), grown, has)
         y_kept = new_start.innovation(outputs, z_N, m_kept, at_kept.s)
         fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= widest
-        fits = d <= widest  # 0 where it is NaN
+        fits = ca.if_else(is_clean, 1, d <= widest)  # 0 where it is NaN
         return _Seen(
             at_measured,
             at_kept,
@@ -223,7 +258,8 @@ class InnovationGate:
             strays,
             unknown,
             fits,
-            is_used=ca.logic_or(fits, fits_kept),
+            is_used=ca.if_else(is_clean, 1, ca.logic_or(fits, fits_kept)),
+            is_clean=is_clean,
         )
 
     def _run(self, window, before, noise, seen, z_N, age):
@@ -245,17 +281,18 @@ class InnovationGate:
         opposite = None
         if self.sees_opposite(window):
             opposite, is_there = self._opposite(window, before, seen, z_N)
+            opposite = ca.if_else(seen.is_clean, before["opposite"], opposite)
             is_there *= restart * (counted["rejected"] <= age) * (seen.d > seen.limit)
             y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
             s_N = ca.if_else(is_there, opposite, s_N)
         restart *= new_start.fits(window, outputs, s, s_N, y)
         is_louder = is_noisy * ca.logic_or(is_noisier, restart)
-        return _Run(counted, y, square, s_N, is_noisier, is_louder, restart, opposite)
+        return _Run(counted, y, square, s, s_N, is_noisier, is_louder, restart, opposite)
 
     def _after(self, window, before, seen, run, is_used):
         """The noise's factor at this sample, and the memory after it."""
         has_any = ca.sum1(seen.has) > 0
-        is_followed = seen.fits * has_any * (1 - run.is_noisier)
+        is_followed = seen.fits * has_any * (1 - run.is_noisier) * (1 - seen.is_clean)
         if self.sees_parameter(window):
             is_followed *= before["turned"] == 0
         level = noise_level.followed(before, run.square / _count(seen), is_followed)
@@ -320,21 +357,29 @@ class InnovationGate:
             ok *= 1 - is_growing
             restart = ca.logic_or(restart, kept * is_growing)
         after = {name: value for name, value in verdict.items() if name.endswith("_after")}
+        newest = _joint_state(window, result["estimate"], verdict["s_predicted"])
+        # The next prediction begins at the estimate: innovations count from there.
+        moved = self._moved(window, verdict["s_predicted"], newest)
+        after["trail_after"] -= ca.repmat(moved, 1, 2)
         turn = self.half_turn_of(window)
         if self.sees_parameter(window):
             is_seen = turn.is_seen(window, result, _quantile(1))
-            turned = turn.counted(window, given, is_seen)
+            turned = turn.counted(window, given, is_seen, restart)
             ok *= 1 - is_seen
             restart = ca.logic_or(restart, kept * turn.is_certain(window, turned))
             after["turned_after"] = turned
         if self.sees_opposite(window):
-            newest = _joint_state(window, result["estimate"])
             goes_on = verdict["is_rejected"] * (1 - restart)
             opposite = turn.turned(window, newest, 1)
             after["opposite_after"] = ca.if_else(goes_on, after["opposite_after"], opposite)
         # A window that fails forgets: what its prediction left here may not be a number.
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
+
+    def _moved(self, window, s, s_new):
+        """By how much each judged output (n_y,) moves as a node moves from s to s_new."""
+        rows = [output.h(s_new) - output.h(s) for output in self.outputs(window)]
+        return ca.vertcat(ca.DM(0, 1), *rows)
 
     def build_restarted(self, window):
         """The memory of a window that restarts at its newest sample, unless it goes on."""
@@ -371,14 +416,15 @@ class _Seen(NamedTuple):
     kept: Any  # (n_z,) the sample with these
     has: Any  # (n_y,) which of the judged outputs it has
     S: Any  # (n_y, n_y) covariance of their innovation
-    grown: Any  # the same for a sample after some that were missing
-    limit: Any  # of the distance
-    d: Any  # distance
+    grown: Any  # S, larger the more samples before had no outputs, or not all inputs
+    limit: Any  # of the distance; wider where many good samples were rejected (`noise_level`)
+    d: Any  # distance, by `grown`
     scale: Any  # factor of the noise
     strays: Any  # whether the window leads elsewhere than its solution
     unknown: Any  # how many samples in a row had outputs, but not all inputs
     fits: Any  # whether it agrees as it was measured
     is_used: Any  # whether it agrees with some of its inputs
+    is_clean: Any  # whether it is known that nothing is unusual
 
 
 class _Run(NamedTuple):
@@ -387,6 +433,7 @@ class _Run(NamedTuple):
     counted: Any  # {name: value} of the memory
     y: Any  # (n_y,) innovation where the window would restart
     square: Any  # of the second difference of innovations
+    s_predicted: Any  # (n_s,) the prediction with what is known of the inputs
     s: Any  # (n_s,) the prediction from which it would restart
     is_noisier: Any  # whether the newest one agrees if the noise is what they scatter
     is_louder: Any  # whether the noise is taken to be that
@@ -429,9 +476,10 @@ def _kinds(window, estimate):
     return [ca.vertcat(*(values[name] for name in names)) for names in kinds]
 
 
-def _joint_state(window, estimate):
-    """The joint state (n_s,) of an estimate."""
-    values = dict(zip(window.estimated, ca.vertsplit(estimate)))
+def _joint_state(window, estimate, s):
+    """The joint state (n_s,) of an estimate; what that does not hold is as in s."""
+    values = dict(zip(window.model.joint_names, ca.vertsplit(s)))
+    values |= dict(zip(window.estimated, ca.vertsplit(estimate)))
     return ca.vertcat(*(values[name] for name in window.model.joint_names))
 
 

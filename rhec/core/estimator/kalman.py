@@ -27,8 +27,7 @@ def update(m, P, z, V, outputs, s_bar):
         P⁺ = P - K H P
 
     The measurements z (n_z,) are NaN where there is none. Outputs that are not affine are
-    linearised at s_bar (n,). The deviance is Σ y²/S + log S, the
-    distance Σ y²/S.
+    linearised at s_bar (n,). The deviance is Σ (y²/S + log S), the distance Σ y²/S.
     """
     gains = []
     weighted = []

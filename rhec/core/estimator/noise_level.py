@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from rhec.core._casadi.build import casadi_function
+
 SHAPES = dict.fromkeys(("spread", "line_spread", "noise_scale", "share", "width"), (1, 1))
 MAX_SCALE = 1e15
 
@@ -38,6 +40,15 @@ class Tuned(NamedTuple):
 
 
 TUNED = Tuned()
+
+
+USUAL = dict(spread=0, line_spread=0, noise_scale=1, width=1)  # the memory of usual noise
+
+
+def is_usual(memory):
+    """Whether neither the noise nor the gate's width differ from what they should be."""
+    is_narrow = (memory["width"] <= 1) * (memory["share"] <= TUNED.many)
+    return (memory["noise_scale"] <= 1) * is_narrow
 
 
 def scale_of(memory):
@@ -101,7 +112,11 @@ def share_after(memory, is_rejected, has_any, n):
 
 def scaled(window, V, scale):
     """The variances V (n_z,) of which those of the judged outputs are multiplied by the scale."""
-    factor = ca.DM.zeros(V.numel())
-    for output in window.judge.outputs(window):
-        factor[output.row] = 1
-    return V * (1 + factor * (scale - 1))
+    judged = {output.row for output in window.judge.outputs(window)}
+
+    @casadi_function("scaled_variances")
+    def variances(V: (V.numel(), 1), scale: (1, 1)):
+        factors = [ca.fmax(scale, 1) if row in judged else 1 for row in range(V.numel())]
+        return dict(V=V * ca.vertcat(*factors))
+
+    return variances(V=V, scale=scale)["V"]

@@ -360,6 +360,7 @@ def _build_linearise(window):
         # No input acts before the oldest node.
         before = dict(B=ca.DM(B_0, 0), v_before=ca.DM.zeros(*v[0].shape), m=memory.m, P=memory.P)
         for i in range(N):
+            # Intervals before the first sample have no length, as in shift.
             dt_s = window.dt_s * (memory.age >= N - i)
             noise = window.at(i, **noises)
             node = filter_step(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
@@ -642,12 +643,15 @@ def build_phases(window):
     m_0 if the judge doubts the model.
     """
     phases, symbols = _build_judged_phases(window)
-    phases.pop(ITERATED, None)
+    phases.pop(ITERATED, None)  # for `improve` alone
     return phases | dict(step=_build_step(phases, window.memory, symbols))
 
 
 def _build_judged_phases(window):
-    """The phases, also the feedback of later iterations if it is another, and their symbols."""
+    """The phases with those of the judge, and the symbols of Functions that call them.
+
+    If `solve` needs a feedback of its own, which is told the iteration, it is there as ITERATED.
+    """
     # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
     is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
     symbols = window.loop_symbols if is_closed_form else ca.MX
@@ -655,7 +659,7 @@ def _build_judged_phases(window):
         free = _build_plain_phases(window_bounds.without_bounds(window), whole_window=True)
         phases = window_bounds.with_bounds(window, free, _build_next_window(window))
     else:
-        phases = _build_plain_phases(window, window.doubts_model)
+        phases = _build_plain_phases(window, whole_window=window.doubts_model)
     if window.judge:
         phases = with_guard(window, phases, symbols)
     return phases, symbols

@@ -216,7 +216,8 @@ class Model:
             dt: Length of a sample [s].
 
         Returns:
-            (n + 1, n_x) states, the first of them x, by the Model's rule.
+            (n + 1, n_x) states, a row for each sample and the first of them x, by the Model's
+            rule. `rhec.RHC` wants desired states as columns: x_ref is the transpose.
 
         Raises:
             ValueError: If an argument has another shape.

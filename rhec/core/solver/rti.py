@@ -289,4 +289,5 @@ def copy_checked(name, value, array):
             return
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} was {shown(value)}; it should be made of numbers") from None
-    raise ValueError(f"{name} had shape {shape}; it should have {array.shape}")
+    turned = f"; {name}.T has that" if shape == array.shape[::-1] else ""
+    raise ValueError(f"{name} had shape {shape}; it should have {array.shape}{turned}")

@@ -1,0 +1,73 @@
+"""What `pip install rhec` installs, and what each extra adds, in packages and megabytes.
+
+    python -m docs.site.packages
+
+It measures the environment that it runs in, and writes data/results/benchmark/packages.csv, from
+which docs/systems.md has its table.
+"""
+
+from importlib import metadata
+
+import pandas as pd
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from benchmark.tables import FOLDER
+
+__all__ = ["closure", "megabytes", "measure"]
+
+NAME = "rhec"
+EXTRAS = ("", "plots", "logs", "campaigns", "all")
+
+
+def closure(name, extra=""):
+    """The names of all packages that a package needs, with one of its extras.
+
+    Args:
+        name: Of an installed package.
+        extra: Of its extras; "" for none.
+
+    Returns:
+        Set of names, without the package itself.
+    """
+    found = set()
+    waiting = [(name, extra)]
+    seen = set()
+    while waiting:
+        package, with_extra = waiting.pop()
+        if (package, with_extra) in seen:
+            continue
+        seen.add((package, with_extra))
+        for text in metadata.requires(package) or ():
+            wanted = Requirement(text)
+            if wanted.marker and not wanted.marker.evaluate({"extra": with_extra}):
+                continue
+            needed = canonicalize_name(wanted.name)
+            found.add(needed)
+            waiting += [(needed, each) for each in ("", *wanted.extras)]
+    return found - {name}
+
+
+def megabytes(name):
+    """The size [MB] of the files that an installed package has brought, without compiled bytes."""
+    files = metadata.files(name) or ()
+    places = (each.locate() for each in files if each.suffix != ".pyc")
+    return sum(place.stat().st_size for place in places if place.is_file()) / 1e6
+
+
+def measure():
+    """Table by extra: packages and MB that it adds to what rhec alone needs."""
+    base = closure(NAME)
+    rows = []
+    for extra in EXTRAS:
+        needed = closure(NAME, extra) | base
+        added = needed - base if extra else base
+        rows.append(dict(extra=extra, packages=len(added), megabytes=sum(map(megabytes, added))))
+    return pd.DataFrame(rows)
+
+
+if __name__ == "__main__":
+    table = measure()
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    table.to_csv(FOLDER / "packages.csv", index=False, float_format="%.1f")
+    print(table.to_string(index=False, float_format="{:.1f}".format))

@@ -1,0 +1,56 @@
+"""The drives by which the verdict on a log is judged, and how its rates are counted."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from notebooks.further.recorded import verdicts
+
+
+@pytest.mark.parametrize("kind", verdicts.OPEN_LOOP)
+def test_a_robot_in_open_loop_is_what_its_kind_says(kind):
+    """It goes μ times as far as its tracks, turns κ times, and drifts in proportion to its way."""
+    changes = verdicts.OPEN_LOOP[kind] | dict(slip=0.0, lag_s=0.0)
+    log = verdicts.open_loop_log(3, **changes)
+    assert log["t_s"].iloc[-1] == pytest.approx(changes.get("duration_s", 180.0), abs=0.02)
+    mu, kappa = changes.get("mu", verdicts.MU), changes.get("kappa", verdicts.KAPPA)
+    np.testing.assert_allclose(log["v_true_mps"], mu * log["speed_mps"], atol=1e-12)
+    turns = kappa * log["yaw_rate_radps"] + changes.get("drift_radpm", 0) * log["v_true_mps"]
+    np.testing.assert_allclose(log["yaw_rate_true_radps"], turns, atol=1e-12)
+    way_m = np.hypot(log["x_true_m"].diff(), log["y_true_m"].diff())
+    np.testing.assert_allclose(way_m[1:], 0.1 * log["v_true_mps"].abs()[1:], atol=2e-3)
+    assert log["x_m"].notna().sum() == pytest.approx(
+        changes.get("gnss_hz", 5) * log["t_s"].iloc[-1], abs=2
+    )
+
+
+def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
+    white, wandering, late = (
+        verdicts.open_loop_log(5, noise_m=noise_m, **changes)
+        for noise_m, changes in ((0.1, {}), (0.0, dict(wander_m=1.0)), (0.0, dict(late_s=0.2)))
+    )
+    for log, sigma_m, rel in ((white, 0.1, 0.1), (wandering, 1.0, 0.7)):
+        off = (log["x_m"] - log["x_true_m"]).dropna()
+        assert np.sqrt((off**2).mean()) == pytest.approx(sigma_m, rel=rel)
+    off = late["x_m"] - late["x_true_m"].shift(2)
+    assert off.abs().max() < 1e-2 < (late["x_m"] - late["x_true_m"]).abs().max()
+
+
+def test_false_trust_and_false_alarms_are_counted_by_loop():
+    is_wrong = [True, True, True, False, False, False, False]
+    is_trusted = [True, False, False, False, False, True, True]
+    rows = pd.DataFrame(dict(loop="open", seed=range(7), is_wrong=is_wrong, is_trusted=is_trusted))
+    found = verdicts.rates(rows).set_index("rate")
+    assert found.loc["false trust", ["k", "n"]].tolist() == [1, 3]
+    assert found.loc["false alarm", ["k", "n"]].tolist() == [2, 4]
+    assert (found["low"] < found["k"] / found["n"]).all()
+
+
+def test_intervals_that_are_not_known_hold_nothing_and_miss_nothing():
+    ends = dict(low=[0.0, 0.0, np.nan], true=[0.5, 2.0, 0.5], high=[1.0, 1.0, np.nan])
+    rows = pd.DataFrame(dict(loop="open", kind="one", way_in_95=1.0, smoothed_in_95=0.5), range(3))
+    for name in ("μ", "κ", "drift"):
+        rows = rows.assign(**{f"{name}_{end}": values for end, values in ends.items()})
+    found = verdicts.coverage(rows)
+    assert found.loc[0, ["μ", "κ", "drift"]].tolist() == [0.5] * 3
+    assert found.loc[0, "yaw smoothed"] == 0.5
