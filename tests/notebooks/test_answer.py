@@ -211,6 +211,7 @@ def test_the_numbers_of_every_pattern_of_turns_are_told(folder):
     assert len(told) == len(TURNS) * len(PROCESS_NOISES)
     assert set(told["RHE is better"]) == {HOLDS, "EKF lost"}
     assert LOST not in set(told["RHE is better"])
+    assert set(told["RHE [m]"]) == {"0.0423 [0.0418, 0.0428]"}
 
 
 @pytest.mark.parametrize("low, shown", [(-0.1, "[0, 0.500]"), (0.05, "[0.0500, 0.500]")])
