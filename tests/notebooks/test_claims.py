@@ -714,7 +714,7 @@ def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
     for wrong, said in (
-        (["Z9"], "claim was 'Z9'; it should be one of I1, I2"),
+        (["Z9"], "claim was 'Z9'; `make claim` without an ID lists"),
         (["B6", "--fields", "1"], "fields was 1; it should be 2 or more"),
     ):
         with pytest.raises(SystemExit) as refused:
