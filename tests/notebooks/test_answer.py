@@ -211,6 +211,16 @@ def test_the_numbers_of_every_pattern_of_turns_are_told(folder):
     assert len(told) == len(TURNS) * len(PROCESS_NOISES)
     assert set(told["RHE is better"]) == {HOLDS, "EKF lost"}
     assert LOST not in set(told["RHE is better"])
+    assert set(told["RHE [m]"]) == {"0.0423 [0.0418, 0.0428]"}
+
+
+@pytest.mark.parametrize("low, shown", [(-0.1, "[0, 0.500]"), (0.05, "[0.0500, 0.500]")])
+def test_a_count_is_not_negative_and_may_be_small(folder, low, shown):
+    table = pd.read_csv(folder / "table_scenario_b.csv")
+    of_rhe = (table["estimator"] == "RHE") & (table["quantity"] == VIOLATIONS)
+    table.loc[of_rhe, ["mean", "low", "high"]] = 0.2, low, 0.5
+    table.to_csv(folder / "table_scenario_b.csv", index=False)
+    assert shown in answer.scenario_b_numbers(folder).to_string()
 
 
 @pytest.mark.parametrize("verdict", [HOLDS, FAILS, UNDECIDED])

@@ -2,6 +2,8 @@
 it is judged on is what the log shows.
 """
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -211,6 +213,11 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     rng = np.random.default_rng(1)
     samples = rng.lognormal(size=(1 if statistic is np.mean else 2, 1000))
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
+
+
+def test_of_two_numbers_every_other_resample_has_an_interval():
+    """Whichever differ; of equal ones the interval has no length."""
+    assert statistics.coverage(np.mean, [0.0, 1.0]) == pytest.approx(0.5, abs=0.03)
 
 
 def test_the_chance_that_a_verdict_is_wrong_is_the_one_of_a_t_test():
@@ -707,7 +714,7 @@ def test_one_claim_is_told_with_its_words_and_numbers(errors, capsys):
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
     for wrong, said in (
-        (["Z9"], "claim was 'Z9'; it should be one of I1, I2"),
+        (["Z9"], "claim was 'Z9'; `make claim` without an ID lists"),
         (["B6", "--fields", "1"], "fields was 1; it should be 2 or more"),
     ):
         with pytest.raises(SystemExit) as refused:
@@ -823,6 +830,24 @@ def test_the_paper_s_values_are_those_of_the_package():
     assert stays == [f"arrived & (max_error_true_m < {paper.TOLERANCE_M})"]
 
 
+@pytest.mark.parametrize(
+    "id_, number, verdict",
+    [
+        ("I1", (0.78 - 0.03 - 0.03 - 0.48) / 2, HOLDS),
+        ("I6", 1 / 5, FAILS),  # 5 Hz are no milliseconds
+        ("M3", 1 / 0.25, HOLDS),  # ν beside μ and κ
+        ("M13", (0.1309 + 0.0215) / 0.88, HOLDS),
+        ("T3", 0.3523 + 0.1309 + 0.3751 + 0.0215, HOLDS),
+        ("T8", 0.0, FAILS),  # minimum of the RHE: 0.2921 + 0.0766 = 0.3687
+        ("T10", 3, FAILS),  # eq. (6) has ν, μ and κ; the paper counts two
+    ],
+)
+def test_what_follows_from_the_papers_own_numbers_is_as_by_hand(id_, number, verdict, made_up):
+    first, *_ = ledger.CLAIMS[id_].rule.by_condition.values()
+    found = first(made_up)
+    assert found.value == pytest.approx(number, abs=1e-12) and found.verdict == verdict
+
+
 def test_a_weak_verdict_does_not_survive_among_many():
     def table(p):
         row = dict(id=["A"], p=[p], p_adjusted=[p], verdict=[HOLDS], derived=[False])
@@ -870,6 +895,8 @@ def test_measured_agrees_with_the_log(run):
     assert shown["in_bounds"] == log[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
     highest = log[["mu_hat", "kappa_hat"]].max(axis=None)
     assert highest == 1 and not shown["above_one"]  # a bound that is reached is not exceeded
+    beyond = run.columns | dict(mu_hat=run.columns["mu_hat"] + 1e-6)
+    assert run_sets.measured(dataclasses.replace(run, columns=beyond))["above_one"]
     assert (
         shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
         and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
@@ -966,6 +993,26 @@ def test_the_time_from_which_an_error_stays_small():
         assert experiments.reached_s(error) == pytest.approx(2.4)
 
 
+def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
+    noises = ("printed", "prediction")
+    made = experiments.make([(noise, "gains") for noise in noises], 2)
+    one, other = (made[noise, "gains"] for noise in noises)
+    pd.testing.assert_frame_equal(one, other)
+    assert len(one) == 100
+
+
+def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
+    """The last one, driven again."""
+    table = experiments.lowest_traction("prediction", most=0)
+    assert len(table) >= 18
+    *fields, lowest = table.columns
+    row = table.iloc[-1]
+    own = {name: row[name] for name in fields} | dict(seed=int(row["seed"]))
+    choice = dict(estimator=RIVALS["augmented_ekf"], process_noise="prediction")
+    log = rhec.simulate(rhec.Scenario(**own, **choice)).log
+    assert lowest == "lowest" and row[lowest] == log[["mu_hat", "kappa_hat"]].min(axis=None)
+
+
 def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
     kkt = experiments.kkt_tolerances(5)
     assert (
@@ -988,6 +1035,16 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
     _, constant = experiments.run_with_given_arrival(steps, log, run.scenario, P_given=np.eye(6))
     np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
+
+
+def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes(virtual_machine):
+    log = rhec.simulate(rhec.Scenario(process_noise="prediction", duration_s=20.0)).log
+    row = experiments._arrival_cost("prediction", log)
+    changes = log["kappa_hat"].diff()
+    assert row["step_adaptive"] == pytest.approx(np.sqrt(changes.pow(2).mean()))
+    assert row["least"] >= -1e-9  # P - W, in units of W
+    # Without W the weight of the past grows with all that was measured.
+    assert row["grown_with_w"] < 1.1 < row["grown_without_w"]
 
 
 @pytest.mark.parametrize("w", ["prediction", "free", "fitted", "printed"])

@@ -83,6 +83,20 @@ def test_a_world_has_the_noise_that_was_fitted_in_it(worlds):
     assert "fitted_ekf" not in worlds[1]
 
 
+def test_each_world_is_fitted_on_drives_of_its_own(worlds, monkeypatch):
+    driven = []
+    monkeypatch.setattr(order_in_worlds, "simulate", driven.append)
+    noise = tuning.Noise((1.0,), (2.0,))
+    monkeypatch.setattr(order_in_worlds, "fit_prediction", lambda *given, **options: noise)
+    for numbered in enumerate(worlds):
+        order_in_worlds._fitted_in(numbered)
+    seeds = [scenario.seed for scenarios in driven for scenario in scenarios]
+    assert len({*seeds}) == len(seeds) == order_in_worlds._TRAINING_DRIVES * len(worlds)
+    for world, scenarios in zip(worlds, driven, strict=True):
+        duration_s = which_worlds.duration_s(order_in_worlds._TRAINING_ROWS, world)
+        assert {scenario.duration_s for scenario in scenarios} == {duration_s}
+
+
 def test_a_pattern_changes_the_path_alone(worlds):
     other = order_in_worlds.on_pattern(worlds[0], "right")
     changed = {name for name in other if other[name] != worlds[0].get(name)}
@@ -111,6 +125,7 @@ def test_the_sentence_has_the_shares_of_the_worlds_own_paths(tmp_path):
     table = order_in_worlds.share_table(file)
     assert [*table.index] == [*order_in_worlds.RULES]
     assert (table["right"] == "0.00").all() and (table["left"] == "1.00").all()
+    assert (table["figure of eight"] == "1.00").all()
 
 
 def test_total_effects_are_the_known_ones():

@@ -17,6 +17,21 @@ def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
     assert row["mean_error_from_start_m"] == runs["Q2"].metrics["mean_error_from_start_m"]
     shown = tables.readable(scenario_tables.scenario_a_table(sweep))
     assert list(shown.columns) == [*runs, "Q1 / Q3", "Q2 / Q3"] and len(shown) == 6
+    words = " ".join(shown.to_numpy().ravel())
+    assert "nan" not in words and "()" not in words  # nor has a number without a verdict a word
+
+
+def test_a_readable_table_has_a_column_a_variant_and_the_papers_after_them():
+    names = ["process_noise", "estimator", "quantity", "mean", "low", "high", "paper", "verdict"]
+    rows = [("printed", "RHE", "error", 0.04, 0.03, 0.05, 0.0423, "met")]
+    rows += [("printed", "EKF", "error", 1.0, 0.9, 1.1, 0.0514, np.nan)]
+    (row,) = tables.readable(pd.DataFrame(rows, columns=names)).to_dict("records")
+    assert row == {
+        "printed, RHE": "0.0400 [0.0300, 0.0500] (met)",
+        "printed, EKF": "1.00 [0.900, 1.10]",
+        "paper, RHE": "0.0423",
+        "paper, EKF": "0.0514",
+    }
 
 
 def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):

@@ -260,6 +260,19 @@ def test_the_page_on_the_world_has_the_ranges_of_the_table():
             assert float(end) == round(table.loc[name, column], digits), name
 
 
+def test_a_median_of_worlds_has_the_interval_of_its_order_statistics(monkeypatch):
+    """Oracle: of n draws, the rank of the median is normal with a deviation of √n / 2."""
+    n, rng = 400, np.random.default_rng(0)
+    fields = {name: rng.permutation(n) for name in which_worlds._CENTRE_STEPS}
+    table = pd.DataFrame(fields | dict(world=np.arange(n)))
+    monkeypatch.setattr(which_worlds, "posterior_table", lambda: table)
+    found = which_worlds.beside_the_default()
+    half = (found["high"] - found["low"]).mean() / 2
+    assert half == pytest.approx(1.96 * np.sqrt(n) / 2, rel=0.04)
+    assert (found["low"] < found["median"]).all() and (found["median"] < found["high"]).all()
+    assert list(found["p95"] - found["p5"]) == pytest.approx([0.9 * (n - 1)] * len(found))
+
+
 def test_the_centre_is_a_world_in_the_middle():
     centre = which_worlds.centre()
     rhec.Scenario(**centre)

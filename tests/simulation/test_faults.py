@@ -86,6 +86,9 @@ def test_a_stuck_position_is_the_last_one_before():
 )
 def test_duplicates_and_disorder_deliver_earlier_samples(kind, order):
     np.testing.assert_array_equal(arriving(kind=kind, channel="all")[DURING], Z[order])
+    # Before the first sample there is none.
+    early = arriving(kind=kind, channel="all", start_s=0.0)[:10]
+    np.testing.assert_array_equal(early, Z[np.maximum(np.array(order) - 50, 0)])
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.35, 0.6])

@@ -5,6 +5,7 @@ import pytest
 from helpers import SIMPLE_WORLD
 
 import rhec
+from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -42,6 +43,17 @@ def test_wet_patches_lie_where_the_path_turns_and_on_a_row():
         inside = np.hypot(run.log["x_m"] - x, run.log["y_m"] - y) < radius_m
         assert inside.sum() > 30
         assert (run.log.loc[inside, ["mu", "kappa"]].median() == [mu, kappa]).all()
+
+
+@pytest.mark.parametrize("offset_m", [-3.0, 3.0])
+def test_random_soil_lies_under_all_of_the_path_and_under_the_start(offset_m):
+    setup = closed_loop.set_up(rhec.Scenario(start_offset_m=offset_m))
+    soil = setup.terrain
+    low = np.array(soil.origin_m)
+    high = low + soil.cell_m * (np.array(soil.mu.shape) - 1)
+    x_min, x_max, y_min, y_max = setup.path.box
+    assert (low <= np.array([x_min, y_min]) - 3.0).all()
+    assert (high >= np.array([x_max, y_max]) + 3.0).all()
 
 
 def test_runs_of_the_simple_world_are_what_they_are():
