@@ -44,7 +44,8 @@ class Tuned(NamedTuple):
     piece_s: float = 2.0  # [s] length of a piece of the path; every other one is compared
     least: float = 4.0  # [standard deviations of a position] a shorter piece has no course
     pieces: int = 100  # [1] over which is averaged; before a tenth of them nothing is said
-    quiet_rad: float = 0.1  # [rad] of a course that swings without side slip
+    quiet_rad: float = 0.07  # [rad] of a course that swings without side slip
+    noise: float = 1.5  # [1] of the positions, times its variance, which lengthens pieces, too
     factor: float = 3.5  # [1] of what swings more
 
 
@@ -92,7 +93,7 @@ def _courses(samples, psi, sigma_m):
             course=course / np.abs(course),
             weight=np.minimum(length, 1.0),
             # Noise of variance σ² at both ends turns a piece by 2 σ²/length².
-            noise=2 * (sigma_m / length) ** 2,
+            noise=2 * TUNED.noise * (sigma_m / length) ** 2,
         ),
         index=end[has_course],
     )

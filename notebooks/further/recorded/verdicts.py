@@ -27,7 +27,7 @@ from rhec.logs import terms
 from rhec.simulation.columns import ESTIMATE, POSE
 from rhec.style import ROOT, source
 
-SEEDS = 2  # of each kind in open loop, and twice as many in closed loop
+SEEDS = 4  # of each kind in open loop, and twice as many in closed loop
 FIRST_SEED = 560_000  # other seeds than those by which constants were chosen
 BAD_RAD = 0.2
 _MOST_BAD = 0.05  # share of the yaws
