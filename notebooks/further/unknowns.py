@@ -256,15 +256,14 @@ def in_short(table=None, worth_map=None):
     if worth_map is None:
         worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
     worlds = drivable(table)
-    worth = {
-        name: _ratios(table, what, AS_PRINTED, worlds)["mean"] for name, what in BESIDE.items()
-    }
+    worth = {name: _ratios(table, what, TUNED, worlds)["mean"] for name, what in BESIDE.items()}
     first = min(worth, key=lambda name: np.log(worth[name]).mean())
     _, rule, *_ = traction_map.against_constants(worth_map).split("**")  # the part in bold
     return (
         f"Tune the controller's weight R first: it takes {_taken_off(_worth_of_r(table, worlds))} "
         f"off the mean true error, in {len(worlds)} worlds. Then estimate {first}, by which uneven "
-        f"slip of the tracks turns the robot: that takes off {_taken_off(worth[first])} more. "
+        f"slip of the tracks turns the robot: with R tuned, that takes off another "
+        f"{_taken_off(worth[first])}. "
         f"{rule.removesuffix('.')}."
     )
 

@@ -131,7 +131,9 @@ def posterior(simulations, observed, keep, but_world=None):
     squares = np.einsum("ij,ij->i", scaled, scaled)
     if but_world is not None:
         squares = np.where(simulations.world == but_world, np.inf, squares)
-    rows = np.argpartition(squares, keep)[:keep]
+    # Sorted, because the order that numpy leaves them in, which decides the draws of `resample`,
+    # depends on the processor.
+    rows = np.sort(np.argpartition(squares, keep)[:keep])
     weights = simulations.prior[rows] * (1 - squares[rows] / squares[rows].max())
     weights = weights / weights.sum()
     worlds = simulations.world[rows]

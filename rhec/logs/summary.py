@@ -192,7 +192,10 @@ def _traction_line(summary):
         summary.parameters.loc[name, "value"]
         for name in ("wheel_separation_multiplier (1/κ)", "effective track width")
     )
-    follows = f"→ wheel_separation_multiplier {multiplier:.3g}, or a track width of {width:.3g} m"
+    follows = (
+        f"→ wheel_separation_multiplier {multiplier:.3g} beside radius multipliers of 1, "
+        f"or a track width of {width:.3g} m"
+    )
     return f"{'   '.join(told)}   {follows}"
 
 
@@ -372,8 +375,7 @@ def _verdict(doubts, recording, found):
         more = f" ({len(doubts) - 1} more doubts: --details)" if len(doubts) > 1 else ""
         return f"Do not trust it yet: {doubts[0]}.{more}"
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
-    calibrate = "" if found else "--calibrate "
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
-        f"ice.{heading} Next: rhec log FILE {calibrate}--output FOLDER."
+        f"ice.{heading} Next: rhec log FILE --calibrate --output FOLDER."
     )
