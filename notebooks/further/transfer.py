@@ -275,6 +275,6 @@ if __name__ == "__main__":
     out = Path("build/replay")
     out.mkdir(parents=True, exist_ok=True)
     result.to_csv(out / "transfer.csv", index=False)
-    page.save("yaw", of_the_page(result), "Errors of the yaw on recorded robots")
+    scores.save("yaw", of_the_page(result), "Errors of the yaw on recorded robots")
     print(f"n = {n} noise seeds; all trials: {out / 'transfer.csv'}\n")
     print(of_the_page(result).to_string())

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from notebooks.further.recorded import verdicts
-from notebooks.further.recorded.scores import mounting_angle_rad, straight_angles
+from notebooks.further.recorded.scores import mounting_angle_rad, save, straight_angles
 from notebooks.studies.answer import RESULTS, to_markdown
 from rhec import style
 
@@ -175,11 +175,6 @@ BLOCKS = {
     "verdicts": readable_verdicts,
     "coverage": readable_coverage,
 }
-
-
-def save(name, table, caption, **about):
-    """Write a table of the page into figures/."""
-    return style.save_table(table, f"table_recorded_{name}", caption, scenario=about or None)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ Perturbed replays add noise, a wrong initial yaw and sensor faults to a log.
 import numpy as np
 import pandas as pd
 
-from rhec import paper
+from rhec import paper, style
 from rhec.logs.checks import refuse
 from rhec.logs.course import UNSURE_YAW_RAD
 from rhec.logs.recording import delayed, prepare
@@ -285,3 +285,8 @@ def perturbed_scores(log, seeds, **arguments):
     recording, others = _prepared(log, **arguments)
     replays = (_perturbed(recording, seed, **others) for seed in seeds)
     return pd.DataFrame([dict(seed=seed) | score(samples) for seed, samples in zip(seeds, replays)])
+
+
+def save(name, table, caption, **about):
+    """Write a table of docs/recorded_robots.md into figures/."""
+    return style.save_table(table, f"table_recorded_{name}", caption, scenario=about or None)

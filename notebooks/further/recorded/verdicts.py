@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 import rhec
-from notebooks.further.recorded.scores import FROM_M, Z_95, distance_driven, yaw_error
+from notebooks.further.recorded.scores import FROM_M, Z_95, distance_driven, save, yaw_error
 from notebooks.studies.statistics import share_interval
 from rhec.logs import terms
 from rhec.simulation.columns import ESTIMATE, POSE
@@ -246,8 +246,6 @@ def coverage(rows):
 
 
 if __name__ == "__main__":
-    from notebooks.further.recorded.page import save  # which imports this module
-
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
     # Drives of other code do not count.
     file = ROOT / "build" / "verdicts" / f"{source()}.csv"
