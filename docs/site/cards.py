@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from notebooks.claims.summary import verdict_counts
 from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies import answer
-from notebooks.studies.tables import interval_text, three_digits
+from notebooks.studies.tables import interval_text, three_digits, with_minus
 
 __all__ = ["LIVE", "interval", "page"]
 
@@ -111,8 +111,9 @@ def _numbers(row):
             )
     if row["paper"] != "":
         number = _as_number(row["paper"])
+        paper = row["paper"] if np.isnan(number) else with_minus(row["paper"])
         has_unit = not np.isnan(number) and not unit.startswith("share")
-        lines.append(("the paper", f"{row['paper']} {unit}" if has_unit else row["paper"], 0))
+        lines.append(("the paper", f"{paper} {unit}" if has_unit else paper, 0))
     return lines
 
 
@@ -196,7 +197,7 @@ def _in_words(findings, bound, paper):
     words = f"Interval: {ours}"
     words += f"; under the other condition {others[0]}" if others else ""
     words += f"; the rule: {bound}" if bound else ""
-    return words + ("" if np.isnan(paper) else f"; the paper: {paper:g}")
+    return words + ("" if np.isnan(paper) else with_minus(f"; the paper: {paper:g}"))
 
 
 def _scale(values, unit):
@@ -225,7 +226,7 @@ def _scale(values, unit):
         return float(np.round(_LEFT + (_RIGHT - _LEFT) * share, 1))
 
     numbers = _ticks(least, most) if axis is np.asarray else _log_ticks(np.exp([least, most]))
-    return place, [(place(number), f"{number:g}") for number in numbers]
+    return place, [(place(number), with_minus(f"{number:g}")) for number in numbers]
 
 
 def _ticks(least, most):

@@ -6,6 +6,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.further import traction_map, traction_worth, unknowns
 from notebooks.plots.parts import DOTS, legend_outside, log_axis, note, panels_beside
+from notebooks.studies.tables import with_minus
 from rhec import paper, style
 
 _FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
@@ -126,7 +127,7 @@ def _places():
 
 def _label(world):
     """A world, at the axis."""
-    return world.removeprefix("d = ").replace("-", "−").replace(", ", ",\n")
+    return with_minus(world.removeprefix("d = ")).replace(", ", ",\n")
 
 
 def _draw_robot(axes, errors, colour, line, label, shift):
@@ -201,4 +202,4 @@ def _tick(told):
     if told == traction_map.NO_SLIP:
         return "no slip"
     error = float(told)
-    return f"{error:+g}".replace("-", "−") if error else "0"
+    return with_minus(f"{error:+g}") if error else "0"

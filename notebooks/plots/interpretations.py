@@ -17,6 +17,7 @@ from notebooks.plots.parts import (
 )
 from notebooks.studies import statistics
 from notebooks.studies.interpretations import QUANTITIES
+from notebooks.studies.tables import with_minus
 from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, SMALL_PT, VERMILLION, styled
 
 _CHATTER_S = (40, 100)  # times before and in the first turn
@@ -172,10 +173,7 @@ def forest(table, baseline):
                 axes.plot(side * most, place, ">" if side > 0 else "<", color=colour, markersize=4)
                 at = dict(xy=(side * most, place), offset=(-5 * side, 0))
                 note(
-                    axes,
-                    f"{row.change:+.2g}".replace("-", "−"),
-                    **at,
-                    ha="right" if side > 0 else "left",
+                    axes, with_minus(f"{row.change:+.2g}"), **at, ha="right" if side > 0 else "left"
                 )
         axes.axvline(0, color=BLACK, linewidth=0.6)
         ticks_at_the_ends(axes, [-most, 0, most])
@@ -183,7 +181,7 @@ def forest(table, baseline):
         words, _, unit = quantity.removesuffix("]").partition(" [")
         unit = "" if unit in ("", "-") else f" {unit}"
         title = f"{words}\n{rows.loc['baseline', 'value']:.3g}{unit}"
-        axes.set_title(title.replace("-", "−"), fontsize=SMALL_PT, loc="center")
+        axes.set_title(with_minus(title), fontsize=SMALL_PT, loc="center")
         axes.tick_params(axis="x", labelsize=SMALL_PT)
         axes.grid(axis="y", visible=False)
     labels = [f"{row.words}  {row.interpretation}" for row in others.itertuples()]

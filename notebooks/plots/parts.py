@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 import rhec
-from notebooks.studies.tables import interval_text
+from notebooks.studies.tables import interval_text, with_minus
 from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
@@ -109,7 +109,7 @@ def ticks_at_the_ends(axes, ticks):
     """Limit the x axis to three ticks: both ends, with their labels inside, and the middle."""
     axes.set_xlim(ticks[0], ticks[-1])
     texts = [f"{tick:.2g}" if abs(tick) < 100 else f"{tick:.0f}" for tick in ticks]
-    axes.set_xticks(ticks, [text.replace("-", "−") for text in texts])
+    axes.set_xticks(ticks, [with_minus(text) for text in texts])
     for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
         label.set_horizontalalignment(side)
 

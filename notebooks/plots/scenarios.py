@@ -12,7 +12,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from notebooks.plots import parts
 from notebooks.studies import names
 from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
-from notebooks.studies.tables import interval_text
+from notebooks.studies.tables import interval_text, with_minus
 from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
 from rhec.style import BLACK, COLOURS, COLUMN_IN, DOUBLE_IN, SKY, colour_of, styled
@@ -253,7 +253,7 @@ def _beside_the_path(axes, runs):
     axes.set(xlim=(0, end_m), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
     axes.set_ylabel("beside the\npath [m]")
     mean_m = lateral_means(runs)
-    means = ", ".join(f"{name} {mean_m[name]:+.3f} m".replace("-", "−") for name in mean_m)
+    means = ", ".join(with_minus(f"{name} {mean_m[name]:+.3f} m") for name in mean_m)
     noise = names.noise_text(first.scenario.process_noise)
     axes.set_title(f"{noise}: mean after settling {means}; farthest {', '.join(largest)}")
 

@@ -30,7 +30,7 @@ from notebooks.studies.statistics import (
     verdict_on_number,
     verdict_on_order,
 )
-from notebooks.studies.tables import interval_text, three_digits
+from notebooks.studies.tables import interval_text, three_digits, with_minus
 from rhec import paper
 from rhec.tracked_robot import tuning
 
@@ -141,7 +141,7 @@ def paper_beside_ours(folder=RESULTS):
             lambda rule: _number_cell(numbers, "EKF", _ERROR, rule),
         ),
         "RHE − EKF [mm]; share of fields with less": (
-            _with_minus(f"{difference_mm:.1f}"),
+            with_minus(f"{difference_mm:.1f}"),
             lambda rule: _order_cell(numbers, rule),
         ),
         "RHE: drives without a violation": ("all", lambda rule: _never_cell(numbers, never, rule)),
@@ -162,11 +162,6 @@ def paper_beside_ours(folder=RESULTS):
             for label, (of_paper, cell) in rows.items()
         ]
     ).fillna(_NONE)
-
-
-def _with_minus(text):
-    """A number's text with a proper minus."""
-    return text.replace("-", "−")
 
 
 def _number_cell(numbers, estimator, quantity, rule):
@@ -198,7 +193,7 @@ def _order_cell(numbers, rule):
         return _EKF_LOST
     gain_mm = _MM * numbers.row(_GAIN, _ERROR, rule)["mean"]
     share = numbers.row(_P, _ERROR, rule)["mean"]
-    return f"{word}: {_with_minus(three_digits(gain_mm))}; {_percent(share)}"
+    return f"{word}: {three_digits(gain_mm)}; {_percent(share)}"
 
 
 def _never_cell(numbers, never, rule):
@@ -478,7 +473,7 @@ def scenario_b_in_words(table):
         "The RHE violates it less often.": _by_rule(
             {
                 rule: _said(numbers.order(_VIOLATIONS, rule))
-                + f" ({_with_minus(_with_interval_of_gain(numbers, rule))})"
+                + f" ({_with_interval_of_gain(numbers, rule)})"
                 for rule in _RULES
             },
             "RHE − EKF",

@@ -13,6 +13,7 @@ import pandas as pd
 from notebooks.claims import run_sets
 from notebooks.studies.scenario_tables import is_lost
 from notebooks.studies.statistics import FAILS, HOLDS, LOST, difference, share
+from notebooks.studies.tables import with_minus
 from rhec import paper
 from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
@@ -124,7 +125,7 @@ def readable_order(table):
         f"{row.rhe_m:.4f} / {row.ekf_m:.4f}, {1e3 * row.mean:+.1f} ± {half:.1f}"
         for row, half in zip(table.itertuples(), half_mm)
     ]
-    cells = table.assign(cell=[text.replace("-", "−") for text in texts])
+    cells = table.assign(cell=[with_minus(text) for text in texts])
     lost = table["verdict"] == LOST
     cells.loc[lost, "cell"] = [f"{row.rhe_m:.4f} / lost" for row in table[lost].itertuples()]
     return cells.pivot_table(
@@ -144,7 +145,7 @@ def in_words(table):
     )
     others = judged[judged["verdict"] != HOLDS]
     cells = [
-        f"{row.variation}, W {row.process_noise}: {1e3 * row.mean:+.1f} mm".replace("-", "−")
+        with_minus(f"{row.variation}, W {row.process_noise}: {1e3 * row.mean:+.1f} mm")
         for row in others.itertuples()
     ]
     return says + (f" The others: {'; '.join(cells)}." if cells else "")

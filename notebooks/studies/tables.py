@@ -7,13 +7,18 @@ its interval. What a notebook shows has them in one cell: "34.6 [32.3, 37.0]".
 import pandas as pd
 
 
+def with_minus(text):
+    """The text of a number with a minus in place of a hyphen."""
+    return text.replace("-", "−")
+
+
 def three_digits(value):
     """A number with three significant digits, large ones to the unit; nothing for a missing one."""
     if pd.isna(value):
         return ""
     if value == 0:
         return "0"
-    return f"{value:.0f}" if abs(value) >= 99.95 else f"{value:#.3g}"
+    return with_minus(f"{value:.0f}" if abs(value) >= 99.95 else f"{value:#.3g}")
 
 
 def signed(value):

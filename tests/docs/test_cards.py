@@ -11,12 +11,17 @@ from bs4 import BeautifulSoup
 
 from docs.site import cards
 from notebooks.claims.rules import CLAIMS
-from notebooks.studies.tables import interval_text
+from notebooks.studies.tables import interval_text, with_minus
 
 ROOT = Path(__file__).parents[2]
 CLAIMS_CSV = pd.read_csv(ROOT / "data/results/claims.csv")
 ROWS = CLAIMS_CSV.astype(object).where(CLAIMS_CSV.notna(), "").to_dict("records")
 DRAWN = [row for row in ROWS if row["value"] != ""]
+
+
+def number_of(text):
+    """The number that a text with a minus shows."""
+    return float(text.replace("−", "-"))
 
 
 def parsed(live=False, claims=CLAIMS_CSV):
@@ -38,7 +43,7 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         text = " ".join(all_cards[row["id"]].get_text().split())
         said = [row["quote"], row["claim"], row["section"], row["verdict"]]
         said += [row["why"], row["beside"], row["test"] if row["test"] != "-" else ""]
-        said += [str(row["paper"]), f"make claim ID={row['id']}"]
+        said += [with_minus(str(row["paper"])), f"make claim ID={row['id']}"]
         said += ["by derivation"] if row["derived"] else []
         said += ["share of the posterior’s worlds"] if row["posterior_n"] else []
         if row["n"]:
@@ -87,7 +92,7 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
         pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]
         bounds = sorted({bound for bound in (row["above"], row["below"]) if np.isfinite(bound)})
         pairs += list(zip(bounds, drawn["limits"]))
-        pairs += [(float(text), at) for at, text in drawn["ticks"]]
+        pairs += [(number_of(text), at) for at, text in drawn["ticks"]]
         if drawn["paper"] is not None:
             pairs.append((float(row["paper"]), drawn["paper"]))
         for number, at in pairs:
@@ -105,8 +110,8 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
         drawn = cards.interval(row | dict(other_n=9, other_value=far, other_low="", other_high=""))
         assert drawn | dict(beyond=None, words="") == alone | dict(words="")
         _, edge, to, number = drawn["beyond"]
-        assert to == side and abs(edge - 180) > 160 and float(number) == far
-        assert str(int(far)) in drawn["words"]
+        assert to == side and abs(edge - 180) > 160 and number_of(number) == far
+        assert with_minus(str(int(far))) in drawn["words"]
     near = cards.interval(row | dict(other_n=9, other_value=0.0, other_low="", other_high=""))
     assert near["beyond"] is None and len(near["rows"]) == 2
 
