@@ -19,7 +19,10 @@ from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import plant
 
-TOLERANCE = 1e-6  # of the state's and the input's units: how far an answer may be from rhec's
+# How far an answer may be from rhec's, in the state's and the input's units. An interior-point
+# method ends beside an active bound, at its default tolerance up to 1e-5 from it.
+TOLERANCE = 1e-6
+TOLERANCE_OF_INTERIOR_POINTS = 1e-4
 SAMPLES = 300  # problems at the paper's size
 SHARE = 10  # problems that a peer solves in a block
 LOOP = 1200  # samples of a closed loop in a block
@@ -46,7 +49,9 @@ def difference(name, answers, recorded):
 
 
 def agreed(row):
-    return row["rhe_maximum"] <= TOLERANCE and row["rhc_maximum"] <= TOLERANCE
+    interior = row["contestant"] in peers.PEERS
+    tolerance = TOLERANCE_OF_INTERIOR_POINTS if interior else TOLERANCE
+    return max(row["rhe_maximum"], row["rhc_maximum"]) <= tolerance
 
 
 def agreement(loop, recorded, acados=None):
@@ -200,7 +205,7 @@ def measure(loop, rounds=30):
     for way in acados.ways if acados else ():
         others[acados_peer.NAMES[way]] = acados.block(way)
     for name in others.keys() - good:
-        print(f"{name} is left out ({case.name}): its answers are more than {TOLERANCE:g} off")
+        print(f"{name} is left out ({case.name}): its answers are too far off")
     contestants |= {name: block for name, block in others.items() if name in good}
     times = interleaved(contestants, rounds)
     table = spread(times, ["contestant", "problem", "phase"])
