@@ -1,5 +1,5 @@
 # What a user sets is data: make never expands it, and the shell gets it in quotes.
-USER_SET := ID PYTHON PYTHON_CPU_COUNT WHAT
+USER_SET := ID id PYTHON PYTHON_CPU_COUNT WHAT
 from_outside = $(filter environment command,$(firstword $(origin $1)))
 $(foreach name,$(USER_SET),$(if $(call from_outside,$(name)),\
   $(eval override $(name) := $$(value $(name)))))
@@ -44,7 +44,7 @@ check-figures: $(READY) ## compare your tables in figures/ with those that this 
 	@$(PY) -m docs.site.check_figures
 
 claim: $(READY) ## judge one claim of the paper again, or list all: make claim ID=B6
-	@$(PY) -m notebooks.claims "$$ID"
+	@$(PY) -m notebooks.claims "$${ID:-$$id}"
 
 report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/
 	@echo 'report: open build/report/index.html'

@@ -50,6 +50,7 @@ _CAST_OF_A_FLAG = "#define casadi_to_int(x) ((casadi_int) x)"
 _CHECK_OF_A_FLAG = "#define casadi_to_int(x) (!((x) > -1 && (x) < 1))"
 # The parts of README.txt that differ.
 _README_ON_A_PATH = dict(
+    sources="rhec.c and rhec_scenario.c",
     source="the scenario in scenario.json",
     guess="guess",
     control="rhec_control(&r, &omega)",
@@ -70,6 +71,7 @@ the guess are {x_m:g} m in x and y, {theta_rad:g} rad in yaw, {nu_mps:g} m/s, {m
 """,
 )
 _README_OF_A_MODEL = dict(
+    sources="rhec.c and rhec_scenario.c",
     source="a model of a robot",
     guess="rhec_scenario_guess",
     control="rhec_control(&r, x, p, x_ref, u_ref, u)",
@@ -83,6 +85,7 @@ interval.
 """,
 )
 _README_OF_A_LOG = dict(
+    sources="rhec.c, search.c and rhec_scenario.c",
     source="the estimator that rhec log judged on a recorded log",
     guess="rhec_scenario_guess",
     control="",

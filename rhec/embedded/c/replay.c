@@ -36,9 +36,13 @@ int main(int argc, char **argv)
 {
     static struct rhec r; /* too large for small stacks */
     static char line[4096];
-    FILE *log = argc == 2 ? fopen(argv[1], "r") : NULL;
-    if (!log || !fgets(line, sizeof line, log)) {
+    if (argc != 2) {
         fprintf(stderr, "usage: %s log.csv\n", argv[0]);
+        return 2;
+    }
+    FILE *log = fopen(argv[1], "r");
+    if (!log || !fgets(line, sizeof line, log)) {
+        fprintf(stderr, "log was %s, which cannot be read or has no line\n", argv[1]);
         return 2;
     }
     double largest = 0;
