@@ -47,7 +47,7 @@ _SHARED = dict(
     command="omega",
     yaw_drift="estimator.yaw_drift",
     disturbance="path.disturbance",
-    s_next="path.s_next",
+    s_next_m="path.s_next_m",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
     omega_ref="path.omega_ref",
@@ -371,7 +371,7 @@ def closest(n_segments):
                 better = distance < best_distance - 1e-9  # the first of equal distances wins
                 best_distance = ca.if_else(better, distance, best_distance)
                 best_s = ca.if_else(better, s + candidate, best_s)
-        return dict(s=best_s)
+        return dict(s_m=best_s)
 
     return closest
 
@@ -432,7 +432,7 @@ def _build_follow(references, reports_accepted, n_z, has_yaw_drift):
             disturbance = counted_in(**given, omega_measured=omega_measured)
             omega_measured = disturbance.pop("omega_measured")
         target = references(**inputs, omega_measured=omega_measured)
-        return dict(s_next=target.pop("s")) | target | disturbance
+        return dict(s_next_m=target.pop("s_m")) | target | disturbance
 
     return follow
 

@@ -186,11 +186,7 @@ def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
     n_segments = world and len(world.path.segments)
     arguments = paper.DT_S, scenario.prediction_horizon, n_segments, scenario.input_reference
-    # Elsewhere s is the joint state of an estimator or controller.
-    arc_length = dict(s="s_m")
-    references = block_of(
-        build_references, *arguments, reads=arc_length, writes=arc_length, remembers=("s_m",)
-    )
+    references = block_of(build_references, *arguments, remembers=("s_m",))
     if not world:
         yield Part(references)
         return
