@@ -233,9 +233,9 @@ def export_model(rhe=None, rhc=None):
     model = rhe.model if rhe else rhc.stages.model
     dt_s = rhe.window.dt_s if rhe else rhc.stages.dt_s
     macros = dict(DT_S=(dt_s, "time between samples [s]"))
-    for name in ("states", "inputs", "parameters", "outputs"):
-        names = getattr(model, name)
-        macros[name.upper()] = len(names), ", ".join(names) or "none"
+    kinds = dict(STATES=model.states, INPUTS=model.acting, PARAMETERS=model.parameters)
+    for name, names in (kinds | dict(OUTPUTS=model.sampled)).items():
+        macros[name] = len(names), ", ".join(names) or "none"
     phases = {}
     settings = {}
     guess = np.zeros(1)

@@ -112,7 +112,8 @@ def _outputs_of(options):
             refuse("outputs was", names, f"{name!r} is in the model; q, r and bounds can name it")
     symbols = [model.dynamics.sx_in(i) for i in range(3)]
     if isinstance(given, Mapping):
-        values = [expression_of(f"outputs[{name!r}]", given[name], symbols, 1) for name in names]
+        of = model.arguments(*symbols)
+        values = [expression_of(f"outputs[{name!r}]", given[name], of, 1) for name in names]
     else:
         unknown = [name for name in names if name not in model.outputs]
         if unknown:
