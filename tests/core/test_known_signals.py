@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import assert_refused
+from in_c import InC
 
 import rhec
 
@@ -245,6 +246,26 @@ def test_a_simulation_holds_a_signal_over_its_sample():
     two = dict(push=[0.5, -0.5], direction=0.0)
     found = cart().simulate([1.0, 0.0], np.zeros((2, 0)), [0.0], dt=DT, known=two)
     np.testing.assert_allclose(found[2], [1.02, 0.0], atol=1e-12)
+
+
+def test_in_exported_c_they_follow_the_outputs_and_the_inputs(tmp_path):
+    z, known = drive(np.random.default_rng(6), 20)
+    mhe = rhec.RHE(model=cart(), dt=DT, horizon=4, **NOISE)
+    in_c = InC(rhec.export(mhe, tmp_path / "rhe"))
+    for row, signals in zip(z, known):
+        found = mhe.step(row, known=by_name(signals))
+        in_c.prepare()
+        answer, _ = in_c.call("estimate", [*row, *signals], length=3)
+        np.testing.assert_allclose(answer, [*found.x, *found.p], rtol=0, atol=1e-12)
+    mpc = pushed_rhc()
+    in_c = InC(rhec.export(mpc, tmp_path / "rhc"))
+    for k in range(5):
+        x, push = np.array([1.0 - 0.1 * k, 0.0]), 0.1 * np.arange(8) - 0.05 * k
+        command = mpc.step(x, known=dict(push=push))
+        in_c.prepare()
+        u_ref = [np.zeros(8), push]
+        answer, _ = in_c.call("control", x, [], np.zeros((2, 9)), u_ref, length=2)
+        np.testing.assert_allclose(answer, [*command, push[0]], rtol=0, atol=1e-9)
 
 
 def test_what_does_not_fit_is_refused_in_a_sentence():

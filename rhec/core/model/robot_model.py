@@ -137,6 +137,7 @@ class Model:
             f"\n    inputs:     {', '.join(self.inputs) or 'none'}"
             f"\n    parameters: {', '.join(parameters) or 'none'}"
             f"\n    outputs:    {', '.join(self.outputs) or 'none'}"
+            + (f"\n    known:      {', '.join(self.known)}" if self.known else "")
         )
 
     @property
@@ -163,7 +164,7 @@ class Model:
     def dynamics(self) -> ca.Function:
         """(x, u, p) -> ẋ, or the next state of a discrete Model; u ends with what is known."""
         symbols = _symbols(self)
-        slope = expression_of("f", self.f, self.arguments(*symbols), len(self.states))
+        slope = expression_of("f", self.f, arguments_of(self, *symbols), len(self.states))
         return ca.Function("f", symbols, [slope], ["x", "u", "p"], ["f"])
 
     @functools.cached_property
@@ -177,23 +178,18 @@ class Model:
     def measurement(self) -> ca.Function:
         """(x, u, p) -> z."""
         symbols = _symbols(self)
-        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*self.arguments(*symbols)[:3]))))
+        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*arguments_of(self, *symbols)[:3]))))
         unnamed = [name for name in self.outputs if name not in values]
         if unnamed and self.h is None:
             expected = "it should be given, since nothing in the model has that name"
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {expected}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
-            outputs = ca.vertsplit(expression_of("h", self.h, self.arguments(*symbols), *sizes))
+            outputs = ca.vertsplit(expression_of("h", self.h, arguments_of(self, *symbols), *sizes))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
         z = (values[name] for name in self.outputs)
         return ca.Function("h", symbols, [ca.vertcat(ca.SX(0, 1), *z)])
-
-    def arguments(self, x: Any, u: Any, p: Any) -> list:
-        """What a user's function is called with, where u ends with what is known."""
-        n_u = len(self.inputs)
-        return [x, u[:n_u], p, *([u[n_u:]] if self.known else [])]
 
     @functools.cached_property
     def key(self) -> str:
@@ -293,7 +289,7 @@ class Model:
         """Length of the joint state."""
         return len(self.joint_names)
 
-    @property
+    @functools.cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint state's entries."""
         return (*self.states, *self.held_inputs, *self.parameters)
@@ -302,6 +298,12 @@ class Model:
 def _symbols(model):
     vectors = dict(x=model.states, u=model.acting, p=model.parameters)
     return [ca.SX.sym(letter, len(names)) for letter, names in vectors.items()]
+
+
+def arguments_of(model, x, u, p):
+    """What a user's function is called with, where u ends with what is known."""
+    n_u = len(model.inputs)
+    return [x, u[:n_u], p, *([u[n_u:]] if model.known else [])]
 
 
 def _noise_function(model):
