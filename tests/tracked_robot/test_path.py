@@ -43,7 +43,9 @@ def along(path, s, **given):
     function = references(len(path.segments), given.pop("input_reference", "measured"))
     (pose,), _ = path.poses([s])
     given = (
-        dict(s_m=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0)
+        dict(
+            s_m=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0
+        )
         | given
     )
     result = function(segments=path.segments.T, period_m=path.period_m, **given)
