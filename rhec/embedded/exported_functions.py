@@ -26,8 +26,7 @@ from rhec.core.solver.rti import IMPROVE
 from rhec.core.wiring import in_two_memories, renamed, wired
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path, yaw_disturbance
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.paper_rhc import problem_of_scenario
 from rhec.tracked_robot.paper_rhe import init as window_init_by_name

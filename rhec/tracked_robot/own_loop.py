@@ -14,7 +14,7 @@ from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.paper_rhc import options_of, with_full_steps
 from rhec.tracked_robot.paper_rhe import SIGMA_START, init, settings_of, window_of
