@@ -1,10 +1,11 @@
 """`rhec.RHE` and `rhec.RHC`: estimator and controller of a control loop that a user writes.
 
-With a `model` they are those of that rhec.Model. Without one they are those of the paper's robot,
-classes that derive from these. Those are imported when one of them is made, because a Model needs
-nothing of the paper's robot.
+With a `model` they are those of that rhec.Model. Without one they make those of the paper's robot,
+which are imported then, because a Model needs nothing of that robot. Those know nothing of these
+classes, but count as theirs: `isinstance` asks for what both derive from.
 """
 
+from abc import ABCMeta
 from typing import TYPE_CHECKING, Any, overload
 
 from rhec.core.controller import rhc
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from rhec.tracked_robot import own_loop
 
 
-class RHE(rhe.RHE):
+class RHE(rhe.RHE, metaclass=ABCMeta):
     """Moving horizon estimation in a user's own loop: `prepare()`, then `feedback(z)`, each sample.
 
     Args:
@@ -36,16 +37,20 @@ class RHE(rhe.RHE):
     @overload
     def __new__(cls, *, model: None = None, **options: Any) -> "own_loop.RHE": ...
 
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHE":
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> Any:
         """An RHE of the model, or of the paper's robot."""
         if cls is not RHE or model is not None:
             return super().__new__(cls)
         from rhec.tracked_robot import own_loop
 
-        return super().__new__(own_loop.RHE)
+        return own_loop.RHE(**options)
+
+    @classmethod
+    def __subclasshook__(cls, other):
+        return issubclass(other, rhe.RHE) if cls is RHE else NotImplemented
 
 
-class RHC(rhc.RHC):
+class RHC(rhc.RHC, metaclass=ABCMeta):
     """Model predictive control in a user's own loop: `prepare()`, then `feedback(…)`, each sample.
 
     Args:
@@ -65,10 +70,14 @@ class RHC(rhc.RHC):
     @overload
     def __new__(cls, *, model: None = None, **options: Any) -> "own_loop.RHC": ...
 
-    def __new__(cls, *, model: Model | None = None, **options: Any) -> "RHC":
+    def __new__(cls, *, model: Model | None = None, **options: Any) -> Any:
         """An RHC of the model, or of the paper's robot."""
         if cls is not RHC or model is not None:
             return super().__new__(cls)
         from rhec.tracked_robot import own_loop
 
-        return super().__new__(own_loop.RHC)
+        return own_loop.RHC(**options)
+
+    @classmethod
+    def __subclasshook__(cls, other):
+        return issubclass(other, rhc.RHC) if cls is RHC else NotImplemented

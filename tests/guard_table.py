@@ -20,7 +20,7 @@ from rhec.core.estimator import ekf, estimate, rhe
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.tracked_robot import paper_rhe, tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT_S = 0.2

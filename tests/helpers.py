@@ -18,7 +18,7 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 
 # Without the copies that JupyterLab keeps of those that were opened in it.
 NOTEBOOKS = sorted(

@@ -35,8 +35,7 @@ from rhec.simulation.columns import COLUMNS
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot import plant, terrain, tuning
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.sensors import SENSORS
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]

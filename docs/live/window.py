@@ -14,7 +14,7 @@ from rhec import paper
 from rhec.core._casadi.build import casadi_function, select_inputs, with_packed_memory
 from rhec.core.estimator import ekf, rhe
 from rhec.core.estimator.window_bounds import without_bounds
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.paper_rhe import SIGMA_START, init, window_of
 

@@ -35,7 +35,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import kinematics as model
 from rhec.tracked_robot import paper_rhc, paper_rhe, path, tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.references import PathTracker
 
 # The arrival cost

@@ -16,7 +16,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.estimator import rhe as core_rhe
 from rhec.core.model.robot_model import Model
 from rhec.tracked_robot import paper_rhe
-from rhec.tracked_robot.choice import TOLD as SHAPES
+from rhec.tracked_robot.estimator_record import TOLD as SHAPES
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT, f, f_with_drift
 
 TOLD = dict(rhe_fixed_traction=("mean_traction",), rhe_no_slip=(), rhe_no_slip_yaw_drift=())

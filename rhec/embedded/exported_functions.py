@@ -26,8 +26,7 @@ from rhec.core.solver.rti import IMPROVE
 from rhec.core.wiring import in_two_memories, renamed, wired
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import path, yaw_disturbance
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.paper_rhc import problem_of_scenario
 from rhec.tracked_robot.paper_rhe import init as window_init_by_name
@@ -47,7 +46,7 @@ _SHARED = dict(
     command="omega",
     yaw_drift="estimator.yaw_drift",
     disturbance="path.disturbance",
-    s_next="path.s_next",
+    s_next_m="path.s_next_m",
     xi_ref="path.xi_ref",
     x_ref="path.xi_ref",
     omega_ref="path.omega_ref",
@@ -233,9 +232,9 @@ def export_model(rhe=None, rhc=None):
     model = rhe.model if rhe else rhc.stages.model
     dt_s = rhe.window.dt_s if rhe else rhc.stages.dt_s
     macros = dict(DT_S=(dt_s, "time between samples [s]"))
-    for name in ("states", "inputs", "parameters", "outputs"):
-        names = getattr(model, name)
-        macros[name.upper()] = len(names), ", ".join(names) or "none"
+    kinds = dict(STATES=model.states, INPUTS=model.acting, PARAMETERS=model.parameters)
+    for name, names in (kinds | dict(OUTPUTS=model.sampled)).items():
+        macros[name] = len(names), ", ".join(names) or "none"
     phases = {}
     settings = {}
     guess = np.zeros(1)
@@ -371,7 +370,7 @@ def closest(n_segments):
                 better = distance < best_distance - 1e-9  # the first of equal distances wins
                 best_distance = ca.if_else(better, distance, best_distance)
                 best_s = ca.if_else(better, s + candidate, best_s)
-        return dict(s=best_s)
+        return dict(s_m=best_s)
 
     return closest
 
@@ -432,7 +431,7 @@ def _build_follow(references, reports_accepted, n_z, has_yaw_drift):
             disturbance = counted_in(**given, omega_measured=omega_measured)
             omega_measured = disturbance.pop("omega_measured")
         target = references(**inputs, omega_measured=omega_measured)
-        return dict(s_next=target.pop("s")) | target | disturbance
+        return dict(s_next_m=target.pop("s_m")) | target | disturbance
 
     return follow
 

@@ -14,8 +14,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import fields_of
 from rhec.style import LABELS
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.sensors import SENSORS
 

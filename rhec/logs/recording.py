@@ -195,6 +195,9 @@ def prepare_for(model, dt_s, log, delays_s=None):
     Raises:
         ValueError: If the log lacks columns, numbers or times, or if a delay is of no output.
     """
+    if model.known:
+        expected = "a recorded log has none; there they should be outputs of the Model"
+        raise ValueError(f"the Model has the known signals {model.known}; {expected}")
     delays_s = delays_s or {}
     unknown = [name for name in delays_s if name not in model.outputs]
     if unknown:

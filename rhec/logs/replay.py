@@ -64,8 +64,7 @@ from rhec.simulation.columns import (
 )
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import sensors, slipping
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, build_step, estimator_of
+from rhec.tracked_robot.estimators import NAMES, Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.paper_rhe import sigma_start, window_of
 from rhec.tracked_robot.speed_models import speed_model_of

@@ -16,12 +16,10 @@ from rhec.core._casadi import build, early, packing
 from rhec.simulation.columns import COLUMNS as COLUMNS  # without those of a scenario's options
 from rhec.simulation.columns import FLAGS, of_run
 from rhec.simulation.metrics import metrics
-from rhec.simulation.parts import World, parts_of
+from rhec.simulation.parts import World, has_yaw_drift, parts_of
 from rhec.simulation.run import Run
 from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot import terrain
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
 from rhec.tracked_robot.path import Path, path_of
 from rhec.tracked_robot.terrain import Terrain
 
@@ -138,9 +136,7 @@ def simulate_setup(scenario, setup):
 def finished(scenario, setup, rows):
     """The Run of a scenario, from the rows (n, columns) that its loop yielded."""
     path = setup.path
-    choice = Choice.of(scenario)
-    has_yaw_drift = estimator_of(choice.estimator).has_yaw_drift(choice)
-    names = of_run(scenario.sensors, has_yaw_drift)
+    names = of_run(scenario.sensors, has_yaw_drift(scenario))
     columns = {"t_s": np.arange(len(rows)) * paper.DT_S}
     columns |= dict(zip(names, np.ascontiguousarray(rows.T)))
     columns |= {name: columns[name] == 1 for name in FLAGS}

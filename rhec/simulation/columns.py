@@ -1,5 +1,6 @@
 """Names of the columns of every log and table of samples; docs/log_columns.md says more."""
 
+import functools
 from itertools import chain
 
 from rhec.tracked_robot import sensors
@@ -64,6 +65,7 @@ def measured_of(sensors=()):
     return [*MEASUREMENTS, *(SENSORS[name] for name in sensors)]
 
 
+@functools.cache
 def of_run(sensors, has_yaw_drift):
     """Columns of a run's log: COLUMNS, those of its `sensors`, and an estimated yaw drift."""
     of_sensors = measured_of(sensors)[len(MEASUREMENTS) :]

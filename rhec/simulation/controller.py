@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.path import path_of
 
 _ONE = (1, 1)

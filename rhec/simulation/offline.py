@@ -9,8 +9,7 @@ from rhec.core._casadi import early
 from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
 from rhec.simulation.columns import POSE, TRUTH, measured_of
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import build_step, estimator_of, states_of
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of, states_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 SETTLED_S = 20.0  # by then the exact first guess no longer matters

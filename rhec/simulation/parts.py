@@ -5,6 +5,7 @@
 What a Scenario leaves out, such as faults or a gyro, is not in the list, and costs nothing.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -13,15 +14,13 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.build import casadi_function
 from rhec.core.blocks import Part, block_of, split
-from rhec.core.controller import rhc
 from rhec.core.model.limits import is_valid_measurement
 from rhec.simulation import faults
 from rhec.simulation.columns import LOG
 from rhec.simulation.controller import Controller
 from rhec.tracked_robot import paper_rhc, terrain
 from rhec.tracked_robot import plant as robot
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import build_step, estimator_of
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
 from rhec.tracked_robot.references import build_references
@@ -64,7 +63,7 @@ def parts_of(scenario, world=None):
     yield from _references(scenario, world)
     yield from _controller(scenario, world)
     yield from moving(scenario, world)
-    yield Part(block_of(row_of_log, _n_z(scenario), _has_yaw_drift(scenario)))
+    yield Part(block_of(row_of_log, _n_z(scenario), has_yaw_drift(scenario)))
 
 
 def blocks_of(scenario):
@@ -83,7 +82,7 @@ def _n_z(scenario):
     return _N_Z + len(scenario.sensors)
 
 
-def _has_yaw_drift(scenario):
+def has_yaw_drift(scenario):
     """Whether the yaw drift is estimated."""
     choice = Choice.of(scenario)
     return estimator_of(choice.estimator).has_yaw_drift(choice)
@@ -167,15 +166,19 @@ def _estimator(scenario, world):
     if not world:
         yield Part(step)
         return
-    guess = dict(zip(QUANTITIES, world.guess))
-    first = dict(estimator=estimator.init(choice, guess))
+    first = dict(estimator=_first_memory(choice, tuple(world.guess)))
     yield Part(step, first, estimator.settings(scenario))
+
+
+@functools.lru_cache(maxsize=64)  # the runs of a campaign share it
+def _first_memory(choice, guess):
+    return estimator_of(choice.estimator).init(choice, dict(zip(QUANTITIES, guess)))
 
 
 def _yaw_rate(scenario):
     """The newest yaw rate; where the yaw drift is estimated, the disturbance that it makes, too."""
     yield Part(block_of(newest_yaw_rate, _n_z(scenario)))
-    if _has_yaw_drift(scenario):
+    if has_yaw_drift(scenario):
         from rhec.tracked_robot import yaw_disturbance
 
         counted_in = block_of(yaw_disturbance.counted_in, reads=dict(yaw_drift="yaw_drift_hat"))
@@ -186,11 +189,7 @@ def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
     n_segments = world and len(world.path.segments)
     arguments = paper.DT_S, scenario.prediction_horizon, n_segments, scenario.input_reference
-    # Elsewhere s is the joint state of an estimator or controller.
-    arc_length = dict(s="s_m")
-    references = block_of(
-        build_references, *arguments, reads=arc_length, writes=arc_length, remembers=("s_m",)
-    )
+    references = block_of(build_references, *arguments, remembers=("s_m",))
     if not world:
         yield Part(references)
         return
@@ -222,12 +221,11 @@ def _controller(scenario, world):
         )
     part = Part(control)
     if world:
-        guess = world.guess
-        plan = rhc.init(stages, guess[:3], guess[3:], settings)
+        plan = paper_rhc.first_plan(scenario, world.guess)
         first = dict(command=0.0, controller=np.array(own.memory) if own else plan)
         # No disturbance of the yaw rate, where none is estimated.
         part = Part(control, first, settings | dict(disturbance=0.0))
-    is_compensated = _has_yaw_drift(scenario) and "disturbance" not in takes
+    is_compensated = has_yaw_drift(scenario) and "disturbance" not in takes
     yield from _compensated(part) if is_compensated else (part,)
 
 

@@ -17,8 +17,7 @@ from rhec.core.estimator.rhe import ArrivalMean
 from rhec.simulation.controller import Controller, check_fits
 from rhec.simulation.faults import Fault, as_python
 from rhec.tracked_robot import options, tuning
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import NAMES, EstimatorName, estimator_of
+from rhec.tracked_robot.estimators import NAMES, Choice, EstimatorName, estimator_of
 from rhec.tracked_robot.own_estimator import Estimator
 from rhec.tracked_robot.path import Path, Turns, path_of
 from rhec.tracked_robot.sensors import SENSORS

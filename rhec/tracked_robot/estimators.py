@@ -1,17 +1,51 @@
-"""The registry of the tracked robot's estimators, by the name that a Scenario gives them."""
+"""The tracked robot's estimators, by the name that a Scenario gives them, and what it chooses."""
 
-from typing import Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 
-from rhec.tracked_robot import filters, paper_rhe
-from rhec.tracked_robot.choice import Choice
+from rhec import paper
+from rhec.tracked_robot import filters, paper_rhe, tuning
 from rhec.tracked_robot.kinematics import OUTPUTS
 from rhec.tracked_robot.own_estimator import Estimator
 
 # In the order of menus and messages.
 EstimatorName = Literal["rhe", "ekf", "bounded_ekf", "oracle"]
 NAMES = get_args(EstimatorName)
+
+
+class Choice(NamedTuple):
+    """The parameters of a Scenario that decide the shape of its estimator's Functions."""
+
+    estimator: Any  # one of NAMES, or an own_estimator.Estimator
+    estimation_horizon: int
+    speed_model: str
+    arrival_mean: str
+    dt_s: float = paper.DT_S
+    sensors: tuple[str, ...] = ()
+    yaw_drift: bool = False
+
+    @classmethod
+    def of(cls, scenario):
+        """Make the Choice of a Scenario.
+
+        Raises:
+            ValueError: if the estimator is not tuned for the scenario's process noise.
+        """
+        name = scenario.estimator
+        noise = scenario.process_noise
+        noises = tuple(tuning.noises_of(tuning.name_of_noise(scenario)))
+        if noises and noise is not None and noise not in noises:
+            expected = f"for the estimator {name!r} it should be None or one of {noises}"
+            raise ValueError(f"process_noise was {noise!r}; {expected}")
+        return cls(
+            name,
+            scenario.estimation_horizon,
+            scenario.speed_model,
+            scenario.arrival_mean,
+            sensors=scenario.sensors,
+            yaw_drift=scenario.yaw_drift,
+        )
 
 
 def _oracle_step(sensors=()):

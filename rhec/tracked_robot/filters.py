@@ -13,7 +13,7 @@ from rhec.core._casadi.build import with_packed_memory
 from rhec.core.estimator.filter import Filter, Noise
 from rhec.core.model.robot_model import Model, interval
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import TOLD, EstimatorRecord
+from rhec.tracked_robot.estimator_record import TOLD, EstimatorRecord
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.paper_rhe import SIGMA_START
 

@@ -12,8 +12,8 @@ import numpy as np
 from rhec import paper
 from rhec.core._casadi.validation import refuse
 from rhec.core.own_step import MEMORY, OwnStep, check_sizes, inputs_of, results_of
-from rhec.tracked_robot import choice, tuning
-from rhec.tracked_robot.choice import TOLD
+from rhec.tracked_robot import tuning
+from rhec.tracked_robot.estimator_record import TOLD, EstimatorRecord
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.paper_rhe import SIGMA_START
 from rhec.tracked_robot.sensors import SENSORS, in_order, sigma_of_sensors
@@ -160,7 +160,7 @@ class Estimator(OwnStep):
     def row(self):
         """What a loop must know of it."""
         taken = inputs_of(self.step)
-        return choice.EstimatorRecord(
+        return EstimatorRecord(
             build_step=lambda choice: self.step,
             init=self._init,
             settings=self._settings,

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rhec import any_robot, paper
+from rhec import paper
 from rhec.core._casadi import validation as valid
+from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
 from rhec.core.estimator.estimate import with_deviations
 from rhec.tracked_robot import options, tuning
-from rhec.tracked_robot.choice import Choice
+from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.paper_rhc import options_of, with_full_steps
 from rhec.tracked_robot.paper_rhe import SIGMA_START, init, settings_of, window_of
@@ -59,7 +60,7 @@ class Estimate(NamedTuple):
         return with_deviations((*QUANTITIES, YAW_DRIFT), [*self[:6], *drift], deviations)
 
 
-class RHE(any_robot.RHE):
+class RHE(rhe.RHE):
     """The paper's estimator for a user's control loop: `prepare()`, then `feedback(z)`, eq. (10).
 
     A measurement is z = (x, y, ν, ω) [m, m, m/s, rad/s], eq. (8), then those of the sensors: the
@@ -158,7 +159,7 @@ class RHE(any_robot.RHE):
         return Estimate(*estimate[:6], covariance.copy(), *estimate[6:])
 
 
-class RHC(any_robot.RHC):
+class RHC(rhc.RHC):
     """The paper's controller for a user's control loop: `prepare()`, then `feedback(…)`, eq. (12).
 
     Args:

@@ -1,6 +1,9 @@
 """The paper's receding horizon controller of the tracked robot, eq. (11)-(13), (16), (19)-(22)."""
 
+import functools
+
 import casadi as ca
+import numpy as np
 
 from rhec import paper
 from rhec.core._casadi.build import unpack, with_packed_memory
@@ -29,15 +32,37 @@ def with_full_steps(problem, qp=None):
 
 def problem_of_scenario(scenario):
     """The Problem of the RHC of a Scenario."""
-    options = options_of(
-        q=scenario.q,
-        r=scenario.r,
-        qn_factor=scenario.qn_factor,
-        omega_max=scenario.omega_max_radps,
-        dt=paper.DT_S,
-        horizon=scenario.prediction_horizon,
-    )
+    return _problem(*_numbers_of(scenario))
+
+
+def first_plan(scenario, guess):
+    """What the RHC of a Scenario remembers before the first sample, {name: array}.
+
+    `guess` is the estimator's first, (x, y, θ, ν, μ, κ).
+    """
+    return _first_plan(tuple(guess), *_numbers_of(scenario))
+
+
+def _numbers_of(scenario):
+    """All of a Scenario that its Problem depends on."""
+    weights = scenario.q, scenario.r, scenario.qn_factor
+    return *weights, scenario.omega_max_radps, scenario.prediction_horizon
+
+
+# Runs that differ in other parameters share what follows from these alone.
+
+
+@functools.lru_cache(maxsize=64)
+def _problem(q, r, qn_factor, omega_max, horizon):
+    weights = dict(q=q, r=r, qn_factor=qn_factor)
+    options = options_of(**weights, omega_max=omega_max, dt=paper.DT_S, horizon=horizon)
     return with_full_steps(problem_of(Options(**options)))
+
+
+@functools.lru_cache(maxsize=64)
+def _first_plan(guess, *numbers):
+    stages, settings = _problem(*numbers)
+    return rhc.init(stages, np.array(guess[:3]), np.array(guess[3:]), settings)
 
 
 def build_step(stages, traction_timing="feedback"):

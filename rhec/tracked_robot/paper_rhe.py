@@ -8,7 +8,7 @@ from rhec.core.estimator import rhe
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.choice import EstimatorRecord
+from rhec.tracked_robot.estimator_record import EstimatorRecord
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, YAW_DRIFT
 from rhec.tracked_robot.sensors import GUESS, SIGMA_GUESS, records, sigma_of_sensors
 from rhec.tracked_robot.speed_models import constants_of, speed_model_of
@@ -100,7 +100,7 @@ def _sigma_w(scenario, speed_model, dt_s):
         noise = tuning.noise_of(tuning.name_of_noise(scenario), scenario)
         tuned = dict(zip((*QUANTITIES, YAW_DRIFT), noise.sigma_w))
         sigma_w = plain.noise.sigma_w if plain.noise else [tuned[name] for name in names]
-    sigma = dict(zip(names[-plain.n_sigma_w :], sigma_w))
+    sigma = dict(zip(names[-len(sigma_w) :], sigma_w))
     if not speed_model.model.motion_noise:
         unknowns = (unknown for of in records(scenario.sensors) for unknown in of.unknowns)
         sigma |= {unknown.name: unknown.walk * dt_s**0.5 for unknown in unknowns}

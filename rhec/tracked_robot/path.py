@@ -224,7 +224,7 @@ def path_of(scenario):
     """The path that a Scenario's robot follows."""
     if scenario.path:
         return scenario.path
-    return Path.rows(scenario.row_length_m, scenario.headland_radius_m, scenario.turns)
+    return _rows(scenario.row_length_m, scenario.headland_radius_m, scenario.turns)
 
 
 @functools.lru_cache(maxsize=16)  # the runs of a campaign share it

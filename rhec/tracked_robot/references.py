@@ -60,14 +60,14 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
     the whole horizon, as in the paper. With `input_reference` "curvature" it is c |μ̂ν̂| / κ̂, for
     the path's curvature c at each node (G8).
 
-    The results are the arc length s of the closest point [m], xi_ref (3, N+1), omega_ref (1, N) and
-    the curvature at s [1/m].
+    The results are the arc length s_m of the closest point [m], xi_ref (3, N+1), omega_ref (1, N)
+    and the curvature there [1/m].
     """
     one = (1, 1)
 
     @casadi_function(
         "references",
-        s=one,
+        s_m=one,
         estimate=(6, 1),
         omega_measured=one,
         segments=(5, n_segments),
@@ -75,14 +75,14 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         look_ahead_m=one,
         backwards=one,
     )
-    def references(s, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
+    def references(s_m, estimate, omega_measured, segments, period_m, look_ahead_m, backwards):
         x, y, theta, nu, mu, kappa = ca.vertsplit(estimate)
         # The distance over ground in one sample; the search starts where the robot should be now.
         pace = ca.fabs(mu * nu) * dt_s
-        s = closest(ca.vertcat(x, y), s + pace, segments, period_m)
-        points = (s + look_ahead_m + i * pace for i in range(horizon + 1))
+        s_m = closest(ca.vertcat(x, y), s_m + pace, segments, period_m)
+        points = (s_m + look_ahead_m + i * pace for i in range(horizon + 1))
         poses, curvatures = zip(*(pose_at(point, segments, period_m) for point in points))
-        _, curvature = pose_at(s, segments, period_m)
+        _, curvature = pose_at(s_m, segments, period_m)
         xy = ca.horzcat(*poses)[:2, :]
         yaw = ca.horzcat(*(nearest_turn(pose[2] + backwards * ca.pi, theta) for pose in poses))
         if input_reference == "measured":
@@ -90,7 +90,7 @@ def build_references(dt_s, horizon, n_segments, input_reference="measured"):
         else:
             turning = ca.fmax(kappa, LEAST_KAPPA)
             omega_ref = ca.horzcat(*curvatures[:-1]) * ca.fabs(mu * nu) / turning
-        return dict(s=s, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
+        return dict(s_m=s_m, xi_ref=ca.vertcat(xy, yaw), omega_ref=omega_ref, curvature=curvature)
 
     return references
 
@@ -157,12 +157,12 @@ class PathTracker:
 
     def restart(self) -> None:
         """Let the next search begin where the first one did, at the beginning of the path."""
-        self._call.set(s=0.0, estimate=np.zeros(6), omega_measured=0.0)
+        self._call.set(s_m=0.0, estimate=np.zeros(6), omega_measured=0.0)
 
     @property
     def s_m(self) -> float:
         """Arc length of the path's point closest to the last estimate [m]."""
-        return self._call.results["s"].item()
+        return self._call.results["s_m"].item()
 
     def references(
         self, estimate: Any, omega_measured: float | None = None
@@ -194,7 +194,7 @@ class PathTracker:
             self._call.set(omega_measured=omega_measured)
         self._call.set(estimate=_paper_estimate(estimate))
         self._call.call()
-        self._call.set(s=self._call.results["s"])
+        self._call.set(s_m=self._call.results["s_m"])
         return self._xi_ref, self._call.results["omega_ref"]
 
     def _references_of_model(self, estimate, omega_measured):
@@ -215,7 +215,7 @@ class PathTracker:
         if np.isfinite(pose).all():
             self._call.set(estimate=(*pose, self._speed_mps, 1.0, 1.0))
         self._call.call()
-        self._call.set(s=self._call.results["s"])
+        self._call.set(s_m=self._call.results["s_m"])
         x_ref = np.zeros((len(states), self._xi_ref.shape[1]))
         x_ref[places] = self._xi_ref
         return x_ref, self._call.results["omega_ref"].copy()

@@ -15,7 +15,6 @@ import casadi as ca
 import numpy as np
 
 from rhec.core._casadi.build import casadi_function
-from rhec.tracked_robot import gyro_check
 from rhec.tracked_robot.kinematics import OUTPUTS
 
 _ONE = (1, 1)
@@ -184,6 +183,26 @@ def within_a_turn(n_z, rows):
     return within_a_turn
 
 
+# Which samples of a recorded gyro a replay leaves out: absurd ones, far beyond the yaw rate of the
+# tracks, which are the gyro's fault and not the soil's; and the last one again, but for rounding,
+# of a gyro that is stuck or dead, since a gyro has noise.
+_MOST_RADPS = 1.0  # of a gyro, besides
+_MOST_SHARE = 2.0  # this share of the tracks' yaw rate
+_ROUNDING_RADPS = 1e-9  # of means over a sample
+
+
+def are_accepted(gyro, omega):
+    """Whether each measurement of a recorded gyro is used, (n,).
+
+    Args:
+        gyro: Series (n,) of measurements [rad/s], NaN where there is none.
+        omega: Series (n,) of yaw rates of the tracks [rad/s], without NaN.
+    """
+    is_absurd = gyro.abs() > _MOST_RADPS + _MOST_SHARE * omega.abs()
+    is_stuck = (gyro - gyro.ffill().shift()).abs() <= _ROUNDING_RADPS
+    return np.array(gyro.notna() & ~is_absurd & ~is_stuck)
+
+
 # The records
 
 _BIAS = "gyro_bias_radps"
@@ -232,7 +251,7 @@ GYRO = Sensor(
     column="gyro_meas_radps",
     recorded_column="gyro_radps",
     is_mean=True,
-    accepts=gyro_check.are_accepted,
+    accepts=are_accepted,
 )
 # As of two GNSS antennas.
 HEADING = Sensor(

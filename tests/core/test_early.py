@@ -46,7 +46,9 @@ def cache(tmp_path, monkeypatch):
 
 def forget_libraries():
     compiled.load.cache_clear()
-    early.library.cache_clear()
+    early._threads.clear()
+    early._opened.clear()
+    early._optimising.cache_clear()
 
 
 def compiling():

@@ -172,7 +172,7 @@ def test_the_closest_point_equals_path_project():
         estimates = np.column_stack([xy, np.zeros((300, 4))]).T
         found = exported_functions.closest(len(target.segments))(
             estimate=estimates, segments=target.segments.T, length_m=target.length_m
-        )["s"]
+        )["s_m"]
         _, s = target.project(xy)
         np.testing.assert_allclose(found.full().ravel(), s, atol=1e-6)
 

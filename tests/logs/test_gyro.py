@@ -7,7 +7,7 @@ from helpers import TRACK_WIDTH_M, may_be_unsure, recorded_log
 
 import rhec
 from rhec.simulation.columns import ESTIMATE
-from rhec.tracked_robot.gyro_check import are_accepted
+from rhec.tracked_robot.sensors import are_accepted
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
 START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong

@@ -43,7 +43,9 @@ def along(path, s, **given):
     function = references(len(path.segments), given.pop("input_reference", "measured"))
     (pose,), _ = path.poses([s])
     given = (
-        dict(s=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0)
+        dict(
+            s_m=s, estimate=[*pose, 0.5, 0.9, 0.8], omega_measured=0.03, look_ahead_m=0, backwards=0
+        )
         | given
     )
     result = function(segments=path.segments.T, period_m=path.period_m, **given)
@@ -171,7 +173,7 @@ def test_before_an_open_path_its_first_segment_goes_on():
     result = along(
         path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8]
     )  # as GNSS noise may have it at the start
-    assert result["s"] == pytest.approx(-0.05)
+    assert result["s_m"] == pytest.approx(-0.05)
     np.testing.assert_allclose(result["xi_ref"][2], 0.3)
 
 
@@ -181,7 +183,7 @@ def test_the_closest_point_is_followed_at_the_robots_pace():
     for place in np.arange(0, 1.2 * length, 0.09):
         (pose,), _ = RACETRACK.poses([place])
         beside = pose + [-0.5 * np.sin(pose[2]), 0.5 * np.cos(pose[2]), 0]
-        s = along(RACETRACK, s, estimate=[*beside, 0.5, 0.9, 0.8])["s"]
+        s = along(RACETRACK, s, estimate=[*beside, 0.5, 0.9, 0.8])["s_m"]
         assert s == pytest.approx(place, abs=0.02)
     assert s > length  # where it counts on
 

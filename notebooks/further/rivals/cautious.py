@@ -30,8 +30,7 @@ from rhec.core._casadi.packing import pack_array
 from rhec.core.controller.rhc import init as plan_init
 from rhec.simulation.closed_loop import first_guess
 from rhec.tracked_robot import paper_rhc, yaw_disturbance
-from rhec.tracked_robot.choice import Choice
-from rhec.tracked_robot.estimators import estimator_of
+from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 from rhec.tracked_robot.path import OPEN, path_of
 from rhec.tracked_robot.references import pose_at

@@ -5,8 +5,10 @@ to run; its results have the same bits. So the first runs of a structure are the
 structure that is run often is compiled again by a thread and replaced.
 """
 
+import contextlib
 import functools
 import threading
+from dataclasses import dataclass
 
 from rhec.core._casadi import cache, compiled
 
@@ -16,10 +18,33 @@ THREAD = "rhec compiler"  # the name of all threads that compile
 WORTH_OPTIMISING = 120
 
 
+@dataclass
+class _Opened:
+    """A structure that was loaded."""
+
+    functions: dict | None  # those without optimisation; None: `compiled.load` is asked
+    loads: int = 0  # of these
+
+
+# By (build, structure), also the threads that compile without optimisation, None where none does.
+_opened: dict = {}
+_threads: dict = {}
+
+
 def load(build, *structure):
     """As `compiled.load`, without optimisation as long as only that is compiled."""
-    begin(build, [structure])
-    return library(build, structure).load()
+    key = build, structure
+    opened = _opened.get(key)
+    if opened is None:
+        begin(build, [structure])
+        opened = _opened[key] = _Opened(_open(build, structure))
+    # Without a compiler nothing is compiled any more, not even what was compiled before.
+    if opened.functions is None or not compiled.compiler():
+        return compiled.load(build, *structure)
+    opened.loads += 1
+    if opened.loads == WORTH_OPTIMISING:
+        optimise(build, [structure])
+    return opened.functions
 
 
 def begin(build, structures):
@@ -31,132 +56,82 @@ def begin(build, structures):
         build: The function that builds the Functions, as for `compiled.load`.
         structures: A list of its tuples of arguments.
     """
-    is_announced = False
-    for structure in structures:
-        has_begun = library(build, tuple(structure)).begin()
-        if has_begun and not is_announced:
-            compiled.announce(build)
-            is_announced = True
+    keys = dict.fromkeys((build, tuple(structure)) for structure in structures)
+    new = {key: _compile(*key) for key in keys if key not in _threads}
+    _threads.update(new)
+    if any(new.values()):
+        compiled.announce(build)
 
 
 def optimise(build, structures):
     """Begin to optimise structures that are sure to be run often; the arguments are `begin`'s."""
     for structure in structures:
-        library(build, tuple(structure)).optimise()
+        opened = _opened.get((build, tuple(structure)))
+        if opened and opened.functions:
+            _optimising(build, tuple(structure))
 
 
 def is_compiled(build, *structure):
     """Return whether `load` has nothing to compile."""
-    return library(build, structure).is_compiled()
+    if (build, structure) in _opened or compiled.is_compiled(build, *structure):
+        return True
+    return cache.contains(_early_name(build, structure))
+
+
+def _early_name(build, structure):
+    return compiled.library_name(build, structure, "not optimised")
+
+
+def _compile(build, structure):
+    """The thread that compiles a structure without optimisation, or None."""
+    if is_compiled(build, *structure):
+        return None
+    # CasADi is not safe in threads: the text is made here, and only compilers run beside.
+    names, text = compiled.library_text(build(*structure))
+    if None in names.values():  # left to `compiled.load`
+        return None
+    return _beside(_make, _early_name(build, structure), names, text, False)
+
+
+def _open(build, structure):
+    """The Functions without optimisation, or None: then `compiled.load` is to be asked."""
+    thread = _threads[build, structure]
+    if thread:
+        thread.join()
+    if compiled.is_compiled(build, *structure):
+        return None
+    with contextlib.suppress(cache.UnusableError):
+        return cache.load_or_build(_early_name(build, structure), _fail, compiled.open_library)[1]
 
 
 @functools.cache
-def library(build, structure):
-    """The Library of build(*structure) in this process."""
-    return Library(build, structure)
+def _optimising(build, structure):
+    """The thread that compiles a structure once more, optimised."""
+    return _beside(_optimise, build, structure)
 
 
-class Library:
-    """The Functions of a structure: compiled without optimisation, then replaced."""
-
-    def __init__(self, build, structure):
-        self._build = build
-        self._structure = structure
-        self._compiling = None  # the thread that compiles without optimisation
-        self._functions = None  # those without optimisation, while they are used
-        self._loads = 0  # of these
-        self._optimising = None  # the thread that compiles the optimised library
-        self._is_final = False  # whether nothing but the optimised library is used from now on
-
-    def is_compiled(self):
-        """Return whether `load` has nothing to compile."""
-        return not self._is_missing() or cache.contains(self._early_name())
-
-    def begin(self):
-        """Begin to compile without optimisation, once; return whether that was to be done."""
-        if self._compiling or self.is_compiled():
-            return False
-        # CasADi is not safe in threads: the text is made here, and only compilers run beside.
-        names, text = compiled.library_text(self._build(*self._structure))
-        if None in names.values():  # left to `compiled.load`
-            self._is_final = True
-            return False
-        make = functools.partial(compiled.compile_text, names=names, text=text, optimised=False)
-        self._compiling = _run_beside(_build_quietly, self._early_name(), make)
-        return True
-
-    def load(self):
-        """Return the Functions, and begin to optimise them when that pays."""
-        if self._is_missing():
-            self._open()
-        # Without a compiler nothing is compiled any more, not even what was compiled before.
-        has_compiler = bool(compiled.compiler())
-        if has_compiler and self._functions and not self._is_optimised():
-            self._loads += 1
-            if self._loads == WORTH_OPTIMISING:
-                self.optimise()
-            return self._functions
-        if has_compiler:
-            self._functions = None
-            self._is_final = True
-        return compiled.load(self._build, *self._structure)
-
-    def optimise(self):
-        """Begin to optimise the Functions, once, if they are there without optimisation."""
-        if self._functions and not self._optimising:
-            name = compiled.library_name(self._build, self._structure)
-            self._optimising = _run_beside(_optimise, self._early_name(), name)
-
-    def _is_missing(self):
-        if self._functions or self._is_final or not compiled.compiler():
-            return False
-        return not compiled.is_compiled(self._build, *self._structure)
-
-    def _is_optimised(self):
-        """Whether the optimised library was compiled; where that failed, this one stays."""
-        if not self._optimising or self._optimising.is_alive():
-            return False
-        return compiled.is_compiled(self._build, *self._structure)
-
-    def _early_name(self):
-        return compiled.library_name(self._build, self._structure, "not optimised")
-
-    def _open(self):
-        """Open the library; if it could not be compiled, `compiled.load` says why."""
-        if self._compiling:
-            self._compiling.join()
-        name = self._early_name()
-        if not cache.contains(name):
-            return
-        try:
-            _, self._functions = cache.load_or_build(name, _fail, compiled.open_library)
-        except cache.UnusableError:
-            return
+def _optimise(build, structure):
+    with contextlib.suppress(cache.UnusableError):
+        early = cache.load_or_build(_early_name(build, structure), _fail, compiled.read_text)
+        if _make(compiled.library_name(build, structure), *early):
+            _opened[build, structure].functions = None
 
 
-def _run_beside(function, *arguments):
+def _beside(function, *arguments):
     """Call a function in a thread."""
     thread = threading.Thread(target=function, args=arguments, name=THREAD)
     thread.start()
     return thread
 
 
+def _make(name, names, text, optimised=True):
+    """Compile a library, and say whether that succeeded; a failure costs time alone."""
+    make = functools.partial(compiled.compile_text, names=names, text=text, optimised=optimised)
+    with contextlib.suppress(cache.UnusableError, MemoryError):
+        cache.load_or_build(name, make, lambda folder: None)
+        return True
+    return False
+
+
 def _fail(folder):
     raise OSError(f"{folder} was removed while it was being opened")
-
-
-def _optimise(early_name, name):
-    """Compile the C of an early library once more, optimised."""
-    try:
-        names, text = cache.load_or_build(early_name, _fail, compiled.read_text)
-    except cache.UnusableError:
-        return
-    _build_quietly(name, functools.partial(compiled.compile_text, names=names, text=text))
-
-
-def _build_quietly(name, make):
-    """Compile a library; a failure costs time alone, so nobody is told."""
-    try:
-        cache.load_or_build(name, make, lambda folder: None)
-    except (cache.UnusableError, MemoryError):
-        return

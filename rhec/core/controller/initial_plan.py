@@ -25,13 +25,13 @@ def checked_plan(stages, u_plan, x_plan):
         if x_plan is not None:
             raise ValueError("u_plan was None; with x_plan it should be the inputs (n_u, N)")
         return None
-    u = _checked("u_plan", u_plan, (stages.n_u, stages.N))
+    u = _checked("u_plan", u_plan, (len(stages.model.inputs), stages.N))
     if x_plan is None:
         return u, None
     return u, _checked("x_plan", x_plan, (stages.n_x, stages.N + 1))
 
 
-def planned_memory(stages, plan, lower, upper, x, p):
+def planned_memory(stages, plan, lower, upper, x, p, known):
     """The first memory (s, u) of Stages that begins with a plan.
 
     Args:
@@ -41,6 +41,7 @@ def planned_memory(stages, plan, lower, upper, x, p):
         upper: (n_c,) greatest commands.
         x: (n_x,) state, which node 0 gets.
         p: (n_p,) parameters.
+        known: (n_d, N) known signals.
 
     Returns:
         dict of s (n_s, N+1) and u (n_u, N).
@@ -53,11 +54,13 @@ def planned_memory(stages, plan, lower, upper, x, p):
     commands = list(stages.command)
     u[commands] = np.clip(u[commands].T, lower, upper).T
     if nodes is None:
-        nodes = stages.model.simulate(x, u.T, p, dt=stages.dt_s).T
+        nodes = stages.model.simulate(
+            x, u.T, p, dt=stages.dt_s, known=dict(zip(stages.model.known, known))
+        ).T
         _check_simulated(nodes, np.concatenate([x, p]))
     s = np.tile([*x, *p], (stages.N + 1, 1)).T
     s[: stages.n_x, 1:] = nodes[:, 1:]
-    return dict(s=s, u=u)
+    return dict(s=s, u=np.vstack([u, known]))
 
 
 def _check_simulated(nodes, start):

@@ -15,8 +15,6 @@ from rhec.core.controller.stages import (
 )
 from rhec.core.model.limits import is_plausible
 from rhec.core.solver import gauss_newton
-from rhec.core.solver.line_search import line_search
-from rhec.core.solver.relaxation import RELIEF, relaxation
 from rhec.core.solver.rti import IMPROVE, iterate, run_phases
 
 
@@ -34,8 +32,10 @@ def build_phases(stages):
     expand = _build_expand(stages, roll_out, feedback)
     phases = dict(shift=_build_shift(stages), linearise=linearise, feedback=feedback, expand=expand)
     if stages.damped:
-        of_iteration = _build_feedback(stages, qp, condition, linearise, qp.chosen)
-        phases[IMPROVE] = _build_improve(stages, phases | dict(feedback=of_iteration))
+        of_iteration = _build_feedback(
+            stages, qp, condition, linearise, dict.fromkeys(qp.chosen, (1, 1))
+        )
+        phases[IMPROVE] = _build_improve(stages, qp, phases | dict(feedback=of_iteration))
     return phases | dict(step=_build_step(stages, qp, phases))
 
 
@@ -231,20 +231,20 @@ def _build_step(stages, qp, phases):
     return step
 
 
-def _build_improve(stages, phases):
+def _build_improve(stages, qp, phases):
     """One iteration without shift: linearise, feedback, expand, and a share of their step.
 
     Where the QP was not solved, what expand leaves stays, or the plan before, if the search wants
     it to be tried `again` with other prices. Else the iteration after one that moved nothing,
     either, would be the same.
     """
-    search = _build_search(stages)
+    search = _build_search(stages, qp)
     unknowns = stages.unknowns
     shapes = stages.memory | stages.weights | stages.data
 
     @casadi_function("rhc_improve", ca.MX, **shapes, penalty=search.sparsity_in("penalty"))
     def improve(penalty, **inputs):
-        chosen = dict(relief=penalty[RELIEF]) if stages.is_general else {}
+        chosen = {name: penalty[place] for name, place in qp.chosen.items()}
         values, full = iterate(phases, inputs | chosen)
         steps = {f"{name}_full": full[name] for name in unknowns}
         known = values | dict(kkt=full["kkt"], penalty=penalty) | steps
@@ -255,11 +255,11 @@ def _build_improve(stages, phases):
         outputs |= {name: full[name] for name in (*stages.memory, "kkt")}
         unsolved = {name: full[name] for name in unknowns}
         is_over = moved == 0
-        if stages.is_general:
+        if "again" in found:
             again = found["again"]
             unsolved = {name: ca.if_else(again, inputs[name], full[name]) for name in unknowns}
             is_over *= ca.logic_not(again)
-            outputs["excess"] = found["excess_shown"]
+        outputs |= {name: found[f"{name}_shown"] for name in outputs if f"{name}_shown" in found}
         outputs |= {name: ca.if_else(solved, found[name], unsolved[name]) for name in unknowns}
         outputs["u_plan"] = outputs["u"]
         flags = dict(converged=found["converged"] * solved, ok=values["ok"] * found["near"])
@@ -269,10 +269,8 @@ def _build_improve(stages, phases):
     return improve
 
 
-def _build_search(stages):
-    """How far to go along a step: a share where bounds may be curved, else by a line search."""
+def _build_search(stages, qp):
+    """How far to go along a step, as what solves the QP says."""
     cost = build_cost(stages)
     data = {name: cost.sparsity_in(name) for name in cost.name_in() if name not in stages.unknowns}
-    if stages.is_general:
-        return relaxation(stages.unknowns, data, cost)
-    return line_search("rhc_search", stages.unknowns, data, cost)
+    return qp.search("rhc_search", stages.unknowns, data, cost)

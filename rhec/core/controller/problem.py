@@ -11,7 +11,7 @@ from rhec.core.controller.bounds import NONE, bounds_of
 from rhec.core.controller.stages import Outputs, Stages, linearised_outputs
 from rhec.core.model.expressions import expression_of
 from rhec.core.model.limits import MAX_QP_ENTRY
-from rhec.core.model.robot_model import Model
+from rhec.core.model.robot_model import Model, arguments_of
 from rhec.core.solver.interior_point import NO_PRICE
 
 _DEFINITE = -1e-9  # smallest eigenvalue of a weight, relative to its largest
@@ -112,7 +112,8 @@ def _outputs_of(options):
             refuse("outputs was", names, f"{name!r} is in the model; q, r and bounds can name it")
     symbols = [model.dynamics.sx_in(i) for i in range(3)]
     if isinstance(given, Mapping):
-        values = [expression_of(f"outputs[{name!r}]", given[name], symbols, 1) for name in names]
+        of = arguments_of(model, *symbols)
+        values = [expression_of(f"outputs[{name!r}]", given[name], of, 1) for name in names]
     else:
         unknown = [name for name in names if name not in model.outputs]
         if unknown:

@@ -18,6 +18,8 @@ from rhec.core.controller.stages import (
     weights_before_end,
 )
 from rhec.core.solver.interior_point import Shape, interior_point
+from rhec.core.solver.line_search import line_search
+from rhec.core.solver.relaxation import RELIEF, relaxation
 from rhec.core.solver.stage_qp import stage_qp
 
 
@@ -36,8 +38,9 @@ class ActiveSet:
     """
 
     reported = ()  # results of `solve` that a step of the RHC returns besides
-    # Shapes of inputs of `solve` that iterations alone choose, and that are 0 else.
+    # {input of `solve` that iterations alone choose, and that is 0 else: its place in `penalty`}
     chosen = {}
+    search = staticmethod(line_search)  # how far iterations go along a step
 
     def __init__(self, stages):
         self._stages = stages
@@ -109,7 +112,8 @@ class InteriorPoint:
     """
 
     reported = ("iterations", "excess")
-    chosen = dict(relief=(1, 1))
+    chosen = dict(relief=RELIEF)
+    search = staticmethod(relaxation)
 
     def __init__(self, stages):
         self._stages = stages

@@ -23,6 +23,7 @@ from rhec.core.controller.initial_plan import checked_plan, planned_memory
 from rhec.core.controller.phases import build_phases, init
 from rhec.core.controller.problem import Options, problem_of
 from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.known import take_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
@@ -119,6 +120,11 @@ class RHC(RealTimeLoop):
             for name, shape in stages.references.items()
             if name != "s_0"
         }
+        # What is known acts like an input that is not commanded, and follows its reference.
+        n_u = len(stages.model.inputs)
+        self._known = self._inputs["u_ref"][n_u:]
+        self._known[:] = np.nan
+        self._inputs["u_ref"] = self._inputs["u_ref"][:n_u]
 
     def first_memory(self, x: Any, p: Any) -> dict:
         """The memory before the first sample: the robot stays at x, and nothing is planned.
@@ -219,6 +225,7 @@ class RHC(RealTimeLoop):
         u_ref: Any = 0.0,
         y_ref: Any = None,
         u_before: Any = None,
+        known: Any = None,
     ) -> Any:
         """Inputs to apply now, by one Gauss-Newton step, eq. (13).
 
@@ -233,6 +240,8 @@ class RHC(RealTimeLoop):
             y_ref: (n_y, N+1), (n_y,) or one desired output; None: the last ones, at first 0.
             u_before: (n_u,) inputs that were applied in the interval before, from which changes are
                 counted. None, or an entry that is not finite: the first ones of the last plan.
+            known: {name: number, or (N,) numbers} of the Model's known signals in the intervals of
+                the horizon; what is not given, or is not finite, is as at the last sample.
 
         Returns:
             (n_u,) inputs of the first interval.
@@ -241,7 +250,7 @@ class RHC(RealTimeLoop):
             ValueError: If an argument has another shape.
         """
         is_first = not self.iteration.started
-        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
+        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before, known)
         if is_first:
             self.iteration.improve_first(FIRST_ITERATIONS)
         self.iteration.feedback()
@@ -256,6 +265,7 @@ class RHC(RealTimeLoop):
         iterations: int = 20,
         y_ref: Any = None,
         u_before: Any = None,
+        known: Any = None,
     ) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
@@ -270,6 +280,7 @@ class RHC(RealTimeLoop):
             iterations: Gauss-Newton steps, at most.
             y_ref: Desired outputs, as in `feedback`.
             u_before: Inputs of the interval before, as in `feedback`.
+            known: Known signals, as in `feedback`.
 
         Returns:
             (n_u,) inputs of the first interval.
@@ -277,12 +288,13 @@ class RHC(RealTimeLoop):
         Raises:
             ValueError: If an argument has another shape.
         """
-        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before)
+        self._set_problem(x, p, x_ref, u_ref, y_ref, u_before, known)
         self.iteration.solve(iterations)
         return self.u_plan[:, 0]
 
-    def _set_problem(self, x, p, x_ref, u_ref, y_ref, u_before):
+    def _set_problem(self, x, p, x_ref, u_ref, y_ref, u_before, known):
         """Copy the new data in; references that are constant are repeated along the horizon."""
+        take_known(self.stages.model.known, known, self._known)
         before = self._before if u_before is None else self._commands_before(u_before)
         given = dict(x=x, p=p, u_ref=u_ref)
         given |= {k: v for k, v in dict(x_ref=x_ref, y_ref=y_ref).items() if v is not None}
@@ -335,7 +347,7 @@ class RHC(RealTimeLoop):
         if not self.stages.has_changes:
             expected = "it should be None, since changes have neither weights nor bounds"
             valid.refuse("u_before was", u_before, expected)
-        u = np.zeros(self.stages.n_u)
+        u = np.zeros(len(self.stages.model.inputs))
         copy_checked("u_before", u_before, u)
         return u[list(self.stages.command)]
 
@@ -347,17 +359,20 @@ class RHC(RealTimeLoop):
         u = np.where(np.isfinite(u_ref), u_ref, 0.0)
         refuse_unstable_step(self.stages.model, x, u, p, self.stages.dt_s)
         memory = self.first_memory(x, p)
+        memory["u"][len(self.stages.model.inputs) :] = self._known
         if self._initial:
             # A line search would refuse the way back to the bounds, where it raises the cost.
             # Their bounds are the first of all.
             bounds = (self.settings[name][: self.stages.n_c] for name in ("lower", "upper"))
-            memory |= planned_memory(self.stages, self._initial, *bounds, x, p)
+            planned = planned_memory(self.stages, self._initial, *bounds, x, p, self._known)
+            memory |= planned
         self.iteration.start(memory)
 
     @property
     def u_plan(self) -> np.ndarray:
         """Planned inputs (n_u, N)."""
-        return self.iteration.arrays["u_plan"].reshape((self.stages.n_u, -1), order="F").copy()
+        u = self.iteration.arrays["u_plan"].reshape((self.stages.n_u, -1), order="F")
+        return u[: len(self.stages.model.inputs)].copy()
 
     @property
     def x_plan(self) -> np.ndarray:

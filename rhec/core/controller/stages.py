@@ -74,8 +74,8 @@ class Stages(NamedTuple):
 
     @property
     def n_u(self):
-        """Length of the input u, whether commanded or not."""
-        return len(self.model.inputs)
+        """Length of the input u, whether commanded or not; it ends with what is known."""
+        return len(self.model.acting)
 
     @property
     def n_s(self):

@@ -17,6 +17,7 @@ from rhec.core.estimator.estimate import joint_estimate, joint_guess, noise_of, 
 from rhec.core.estimator.filter import Filter, Noise, where_defined
 from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.known import take_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import NO_SAMPLE, copy_checked
@@ -25,7 +26,7 @@ from rhec.core.solver.rti import NO_SAMPLE, copy_checked
 def build(model, dt_s):
     """The filter as {step: Function (memory, z_N, V, c, W) -> (memory, estimate, …)}."""
     kalman = Filter(where_defined(robot_model.interval(model)), dt_s)
-    shapes = dict(z_N=(len(model.outputs), 1), noise=noise_shapes(model), W=(model.n_s, 1))
+    shapes = dict(z_N=(len(model.sampled), 1), noise=noise_shapes(model), W=(model.n_s, 1))
 
     @with_packed_memory("ekf_step", kalman.memory_shapes, ca.SX, **shapes)
     def step(z_N, noise, W, **memory):
@@ -34,7 +35,9 @@ def build(model, dt_s):
         values |= dict(zip(model.joint_names, ca.vertsplit(after.m)))
         estimate = ca.vertcat(*(values[name] for name in model.names))
         results = dict(estimate=estimate, covariance=after.P, deviance=after.deviance)
-        return results | after.memory
+        # The interval that begins at this sample has the known signals of this sample.
+        v = kalman.interval.with_known(after.v, z_N)
+        return results | after.memory | dict(v=v)
 
     return dict(step=step)
 
@@ -72,13 +75,17 @@ class EKF:
         self.dt_s = dt
         m, sigma = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        u = np.zeros(len(model.inputs))
+        u = np.zeros(len(model.acting))
         refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         self._call = compiled.BufferedFunction(compiled.load(build, model, dt)["step"])
         self.settings = noise_of(model, sigma_v, sigma_w)
         P = np.diag(np.square(sigma))
-        self.first_memory = np.array([*m, *P.ravel(), *np.zeros(len(model.inputs)), 0.0])
+        self.first_memory = np.array([*m, *P.ravel(), *np.zeros(len(model.acting)), 0.0])
         self._call.set(**self.settings)
+        n_z = len(model.outputs)
+        self._z = self._call.arguments["z_N"][:n_z]
+        self._known = self._call.arguments["z_N"][n_z:, None]
+        self._known[:] = np.nan
         self.restart()
 
     def __repr__(self) -> str:
@@ -92,16 +99,17 @@ class EKF:
     def prepare(self) -> None:
         """Do nothing: the filter does all its work in `feedback`."""
 
-    def step(self, z: Any) -> Any:
+    def step(self, z: Any, known: Any = None) -> Any:
         """One sample of a loop that prepares nothing: `prepare()`, then `feedback(z)`.
 
         Args:
             z: (n_z,) measurements; an entry that is not finite counts as missing.
+            known: Known signals, as in `feedback`.
 
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
         """
-        return self.feedback(z)
+        return self.feedback(z, known)
 
     @property
     def ok(self) -> bool:
@@ -124,11 +132,13 @@ class EKF:
             return NO_SAMPLE
         return "the estimate or its covariance is not plausible; restart() starts from the guess"
 
-    def feedback(self, z: Any) -> Any:
+    def feedback(self, z: Any, known: Any = None) -> Any:
         """Estimate from the newest measurement.
 
         Args:
             z: (n_z,) measurements; an entry that is not finite counts as missing.
+            known: {name: number} of the Model's known signals; what is not given, or is no finite
+                number, is as at the last sample.
 
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
@@ -136,7 +146,8 @@ class EKF:
         arguments = self._call.arguments
         results = self._call.results
         n_s = self.model.n_s
-        copy_checked("z", z, arguments["z_N"])
+        take_known(self.model.known, known, self._known)
+        copy_checked("z", z, self._z)
         self._call.call()
         self._started = True
         arguments["memory"][:] = results["memory"]

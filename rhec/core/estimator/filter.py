@@ -107,7 +107,7 @@ class Filter(NamedTuple):
         for output in self.interval.outputs:
             age_s = ages_s[output.row]
             then = self.interval.step(s, v, self.dt_s - age_s)
-            since = started * (output.h(F) - output.h(then))
+            since = started * (output.value(F, z) - output.value(then, z))
             moved[output.row] += ca.if_else(age_s > 0, since, 0)
         return ca.vertcat(*moved)
 

@@ -96,7 +96,7 @@ def _mirrors(model):
     f(x with θ + π, u, p with -p_j) = f(x, u, p) at random points, and not so with p_j itself.
     """
     rng = np.random.default_rng(0)
-    shapes = [len(names) for names in (model.states, model.inputs, model.parameters)]
+    shapes = [len(names) for names in (model.states, model.acting, model.parameters)]
     points = [[rng.uniform(0.2, 1.0, n) for n in shapes] for _ in range(_POINTS)]
     turn = np.pi * (np.array(model.states) == model.heading)
 

@@ -140,7 +140,7 @@ class InnovationGate:
         """{name: shape} of what the judge is given: prediction, sample, noise, memory."""
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (window.interval.n_s, 1))
-        shapes |= dict(z_N=(len(window.model.outputs), 1), v=window.pieces.v)
+        shapes |= dict(z_N=(len(window.model.sampled), 1), v=window.pieces.v)
         if self.sees_parameter(window) or self.sees_opposite(window):
             shapes |= dict(age=(1, 1))
         if window.at_measured_input:
@@ -187,7 +187,7 @@ class InnovationGate:
             before |= {key: ca.if_else(is_clean, each, before[key]) for key, each in usual.items()}
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
             run = self._run(window, before, noise, seen, z_N, age)
-            m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, m_0, P_0)
+            m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, z_N, m_0, P_0)
             # The three chances: as measured, with the inputs that are kept, without its outputs.
             as_measured = ca.if_else(run.is_noisier, 1, seen.fits)
             is_used = ca.if_else(run.is_noisier, 1, seen.is_used)
@@ -222,7 +222,7 @@ class InnovationGate:
         at_measured, at_kept = predictions
         widest = limit = self.limit(window)
         kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
-        rows = [output.H(at_measured.s) for output in outputs]
+        rows = [output.slope(at_measured.s, z_N) for output in outputs]
         H = ca.vertcat(ca.SX(0, interval.n_s), *rows)
         has = ca.vertcat(ca.SX(0, 1), *(output.is_valid(z_N) for output in outputs))
         scale = noise_level.scale_of(before)
@@ -285,7 +285,7 @@ class InnovationGate:
             is_there *= restart * (counted["rejected"] <= age) * (seen.d > seen.limit)
             y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
             s_N = ca.if_else(is_there, opposite, s_N)
-        restart *= new_start.fits(window, outputs, s, s_N, y)
+        restart *= new_start.fits(window, outputs, s, s_N, z_N, y)
         is_louder = is_noisy * ca.logic_or(is_noisier, restart)
         return _Run(counted, y, square, s, s_N, is_noisier, is_louder, restart, opposite)
 
@@ -319,8 +319,7 @@ class InnovationGate:
 
     def build_kept(self, window):
         """The Function (z_N, v, V) -> the sample with the inputs that are kept if rejected."""
-        n_z = len(window.model.outputs)
-        shapes = dict(z_N=(n_z, 1), v=window.pieces.v, V=(n_z, 1))
+        shapes = dict(z_N=(len(window.model.sampled), 1), v=window.pieces.v, V=window.noise["V"])
 
         @casadi_function("kept_inputs", ca.SX, **shapes)
         def kept(z_N, v, V):
@@ -353,13 +352,13 @@ class InnovationGate:
         restart = kept * verdict["restart"]
         grows = growth_function(window.model, window.dt_s)
         if grows:
-            is_growing = grows(*_kinds(window, result["estimate"]))
+            is_growing = grows(*_kinds(window, result["estimate"], given["z_N"]))
             ok *= 1 - is_growing
             restart = ca.logic_or(restart, kept * is_growing)
         after = {name: value for name, value in verdict.items() if name.endswith("_after")}
         newest = _joint_state(window, result["estimate"], verdict["s_predicted"])
         # The next prediction begins at the estimate: innovations count from there.
-        moved = self._moved(window, verdict["s_predicted"], newest)
+        moved = self._moved(window, verdict["s_predicted"], newest, given["z_N"])
         after["trail_after"] -= ca.repmat(moved, 1, 2)
         turn = self.half_turn_of(window)
         if self.sees_parameter(window):
@@ -376,9 +375,9 @@ class InnovationGate:
         after = {name: ca.if_else(kept, value, 0) for name, value in after.items()}
         return dict(ok=ok, kept=kept, restart=restart) | after
 
-    def _moved(self, window, s, s_new):
+    def _moved(self, window, s, s_new, z):
         """By how much each judged output (n_y,) moves as a node moves from s to s_new."""
-        rows = [output.h(s_new) - output.h(s) for output in self.outputs(window)]
+        rows = [output.value(s_new, z) - output.value(s, z) for output in self.outputs(window)]
         return ca.vertcat(ca.DM(0, 1), *rows)
 
     def build_restarted(self, window):
@@ -468,11 +467,12 @@ def patience(N):
     return max(TUNED.least_patience, TUNED.windows_of_patience * N)
 
 
-def _kinds(window, estimate):
-    """States, inputs and parameters (x, u, p) of an estimate."""
-    values = dict(zip(window.estimated, ca.vertsplit(estimate)))
+def _kinds(window, estimate, z):
+    """States, inputs and parameters (x, u, p) of an estimate; u ends with what is known in z."""
     model = window.model
-    kinds = (model.states, model.inputs, model.parameters)
+    values = dict(zip(model.sampled, ca.vertsplit(z)))
+    values |= dict(zip(window.estimated, ca.vertsplit(estimate)))
+    kinds = (model.states, model.acting, model.parameters)
     return [ca.vertcat(*(values[name] for name in names)) for names in kinds]
 
 

@@ -35,7 +35,7 @@ def update(m, P, z, V, outputs, s_bar):
     distance = ca.SX(0)
     for output in outputs:
         is_valid = output.is_valid(z)
-        H = output.H(s_bar)
+        H = output.slope(s_bar, z)
         y = ca.if_else(is_valid, output.residual(z, m, s_bar), 0)
         PH = P @ H.T
         S = H @ PH + V[output.row]

@@ -34,7 +34,7 @@ def build(window, outputs, where, after):
     interval = window.interval
     shapes = window.prediction | window.noise | window.pieces._asdict() | after
     shapes |= dict.fromkeys(("s_restart", "m_0", "P_0"), (interval.n_s, 1))
-    shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.outputs), 1))
+    shapes |= dict(goes_on=(1, 1), z_used=(len(window.model.sampled), 1))
     if window.doubts_model:
         shapes |= dict(restart=(1, 1), m_alone=(interval.n_s, 1), W=(interval.n_s, 1))
 
@@ -46,7 +46,7 @@ def build(window, outputs, where, after):
         s_N = s_restart
         s, _ = window.predict_input(B_N, s_N, P_N, v_N, z_used, **noise)
         y = innovation(outputs, z_used, s, s_N)
-        m, P = anew(window, outputs, s_N, P_N, y, m_0, P_0)
+        m, P = anew(window, outputs, s_N, P_N, y, z_used, m_0, P_0)
         m = where(m, values)
         if window.doubts_model:
             added = interval.process_noise(v_N, values["W"], window.dt_s, noise.get("c"))
@@ -60,7 +60,7 @@ def build(window, outputs, where, after):
         fresh = memory | dict(
             s=ca.repmat(s, 1, N + 1),
             v=ca.repmat(memory["v"][:, N - 1], 1, N),
-            z=ca.horzcat(ca.DM.nan(z_used.numel(), N), z_used),
+            z=ca.horzcat(ca.repmat(interval.without_measurements(z_used), 1, N), z_used),
             age=0,
             m=m,
             P=P,
@@ -76,7 +76,7 @@ def innovation(outputs, z, m, s_bar):
     return ca.vertcat(ca.DM(0, 1), *rows)
 
 
-def anew(window, outputs, s_N, P, y, m_0, P_0):
+def anew(window, outputs, s_N, P, y, z, m_0, P_0):
     """Mean and covariance of the newest node before its measurement, where the window restarts.
 
     Args:
@@ -85,6 +85,7 @@ def anew(window, outputs, s_N, P, y, m_0, P_0):
         s_N: (n_s,) the prediction.
         P: (n_s, n_s) its covariance.
         y: (n_y,) their innovation.
+        z: (n_z,) the sample.
         m_0: (n_s,) first guess.
         P_0: (n_s,) its variances.
     """
@@ -96,22 +97,22 @@ def anew(window, outputs, s_N, P, y, m_0, P_0):
             m[place] = m_0[place]
             P[place, :] = 0
             P[:, place] = 0
-    away = ca.sum2(_moves(outputs, s_N, y) ** 2)
+    away = ca.sum2(_moves(outputs, s_N, z, y) ** 2)
     return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
 
 
-def _moves(outputs, s_bar, y):
+def _moves(outputs, s_bar, z, y):
     """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
     columns = [ca.DM(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
-        H = output.H(s_bar)
+        H = output.slope(s_bar, z)
         columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))
     return ca.horzcat(*columns)
 
 
-def fits(window, outputs, m, s_bar, y):
+def fits(window, outputs, m, s_bar, z, y):
     """Whether what is measured lies within the bounds of states; a window cannot start beyond."""
-    measured = m + ca.sum2(_moves(outputs, s_bar, y))
+    measured = m + ca.sum2(_moves(outputs, s_bar, z, y))
     names = window.model.joint_names
     fits = ca.SX(1)
     for name, (lower, upper) in (window.model.state_bounds or {}).items():

@@ -38,6 +38,7 @@ from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, who
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
+from rhec.core.model.known import take_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.model.robot_model import Model
 from rhec.core.solver import gauss_newton
@@ -113,7 +114,7 @@ class Window(NamedTuple):
         """Shapes (rows, columns) of s, of its covariance, of v, z, a node's K and e, and q."""
         n_s = self.interval.n_s
         v = (self.interval.n_v, 1)
-        z = (len(self.model.outputs), 1)
+        z = (len(self.model.sampled), 1)
         rows = len(self.interval.outputs)
         correction = dict(K=(n_s, rows), e=(rows, 1))
         q = (len(self.interval.bounds), 1)
@@ -315,14 +316,15 @@ def _build_shift(window):
         dt_s = window.dt_s * (memory.age >= 0)
         v_next = memory.v[:, -1]
         if window.noisy:  # what is expected of the new interval: the last input, and no noise
-            v_next = ca.vertcat(v_next[: len(window.model.inputs)], ca.DM.zeros(memory.s.size1()))
+            v_next = ca.vertcat(v_next[: len(window.model.acting)], ca.DM.zeros(memory.s.size1()))
+        v_next = window.interval.with_known(v_next, memory.z[:, N])
         s, v = gauss_newton.shift(window.interval, memory.s, memory.v, dt_s, v_next)
         if window.doubts_model:
             s = _plausible_newest(s, memory.age, m_0)
         return Memory(
             s=s,
             v=v,
-            z=ca.horzcat(memory.z[:, 1:], ca.DM.nan(memory.z.size1())),
+            z=ca.horzcat(memory.z[:, 1:], window.interval.without_measurements(memory.z[:, N])),
             age=ca.fmin(memory.age + 1, N),
             m=ca.if_else(memory.age >= N, m_next, memory.m),
             P=ca.if_else(memory.age >= N, P_next, memory.P),
@@ -428,7 +430,7 @@ def _build_condition(window):
         if not window.quantities:
             # The last input as estimated; as measured where that is not finite.
             adjoint = C.T @ multipliers
-            adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N)
+            adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N, z_N)
             v_new = v - R_v * (B_N.T @ adjoint)
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
@@ -465,13 +467,13 @@ def _build_feedback(window):
     return feedback
 
 
-def adjoint_before_update(outputs, adjoint, K, e, s_bar):
+def adjoint_before_update(outputs, adjoint, K, e, s_bar, z):
     """The adjoint λ before a node's measurements, from the one after them (Bryson-Frazier).
 
     λ - H' (K' λ + e) for one scalar measurement after the other, the last first.
     """
     for i, output in reversed(list(enumerate(outputs))):
-        adjoint = adjoint - output.H(s_bar).T @ (K[:, i].T @ adjoint + e[i])
+        adjoint = adjoint - output.slope(s_bar, z).T @ (K[:, i].T @ adjoint + e[i])
     return adjoint
 
 
@@ -483,7 +485,7 @@ def _descent(outputs, new, old, s_bar, z, V):
     total = 0
     for output in outputs:
         residual = output.residual(z, old, s_bar) / V[output.row]
-        change = output.H(s_bar) @ (new - old)
+        change = output.slope(s_bar, z) @ (new - old)
         total -= ca.if_else(output.is_valid(z), residual * change, 0)
     return total
 
@@ -499,14 +501,14 @@ def _build_passes(window):
     @casadi_function("rhe_backward")
     def backward(adjoint: s, D: D, B: B, update: update, s: s, v: v, z: z, noise: noise):
         """λ_i = A' λ and the new input v_m - R_v B' λ of one interval, from the node s after it."""
-        adjoint = adjoint_before_update(outputs, adjoint, *update.values(), s)
+        adjoint = adjoint_before_update(outputs, adjoint, *update.values(), s, z)
         v_m, R_v = interval.input_noise(z, v, **noise)
         return dict(v_new=v_m - R_v * (B.T @ adjoint), adjoint=(interval.A_0 + D).T @ adjoint)
 
     @casadi_function("rhe_oldest", window.symbols)
     def oldest(adjoint: s, update: update, m: s, P: P, s: s, z: z, noise: noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
-        s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s)
+        s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s, z)
         arrival = ca.dot(gauss_newton.solve_positive(P, s - m), s_new - s)  # H_N = P⁻¹
         return dict(s_new=s_new, descent=arrival + _descent(outputs, s_new, s, s, z, noise["V"]))
 
@@ -545,7 +547,8 @@ def _build_next_window(window):
         """
         s = ca.if_else(is_plausible(memory.s[:, N]), memory.s, 0)
         v = ca.if_else(ca.fabs(memory.v) <= max_input, memory.v, 0)
-        restarted = Memory(s, v, ca.DM.nan(*memory.z.shape), age=0, m=s[:, N], P=ca.diag(P_0))
+        z = ca.repmat(interval.without_measurements(memory.z[:, N]), 1, N + 1)
+        restarted = Memory(s, v, z, age=0, m=s[:, N], P=ca.diag(P_0))
         improved = memory._replace(s=s_new, v=v_new)
         return Memory(*(ca.if_else(kept, *pieces) for pieces in zip(improved, restarted)))
 
@@ -788,16 +791,19 @@ def _build_step(phases, memory, symbols):
     return chained("rhe_step", order, memory, (*results, "kkt"), symbols, first=("z_N",))
 
 
-def init(window, guess, sigma, inputs=0.0):
+def init(window, guess, sigma, inputs=0.0, known=0.0):
     """Memory before the first sample, by name, with the shapes of `Window.memory`.
 
     It holds a guess (n_s,) of the joint state, its standard deviations sigma (n_s,), and the inputs
-    (n_v,) before the first sample, by default 0.
+    (n_v,) before the first sample, by default 0, with the known signals (n_d,) of that sample.
     """
     N = window.N
     s = np.full((N + 1, window.interval.n_s), guess).T
     v = np.full((N, window.interval.n_v), inputs).T
-    z = np.full((len(window.model.outputs), N + 1), np.nan)
+    z = np.full((len(window.model.sampled), N + 1), np.nan)
+    z[len(window.model.outputs) :].T[:] = known
+    for place, row in window.interval.known.items():
+        v[place] = z[row, 0]
     memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
     # The judge knows of no samples: the first one is judged by the guess.
     others = {name: shape for name, shape in window.memory.items() if name not in memory}
@@ -860,7 +866,7 @@ class RHE(RealTimeLoop):
     ):
         self._guess = joint_guess(model, guess, sigma_guess)
         n_x = len(model.states)
-        u = np.zeros(len(model.inputs))
+        u = np.zeros(len(model.acting))
         refuse_unstable_step(model, guess[:n_x], u, guess[n_x:], dt, sigma_guess[n_x:])
         m_0, sigma_0 = self._guess
         settings = noise_of(model, sigma_v, sigma_w) | dict(m_0=m_0, P_0=np.square(sigma_0))
@@ -883,7 +889,10 @@ class RHE(RealTimeLoop):
         self.iteration = RealTimeIteration(functions, tuple(window.memory), UNKNOWNS, **settings)
         arrays = self.iteration.arrays
         n_s = self.model.n_s
-        self._inputs = dict(z=arrays["z_N"])
+        n_z = len(self.model.outputs)
+        self._inputs = dict(z=arrays["z_N"][:n_z])
+        self._known = arrays["z_N"][n_z:, None]
+        self._known[:] = np.nan
         # Views of the result, made once: reshaping takes longer than the QP of the feedback.
         self._result = (arrays["estimate"], arrays["covariance"].reshape(n_s, n_s))
 
@@ -892,13 +901,15 @@ class RHE(RealTimeLoop):
         size = f"dt {self.window.dt_s:g} s, horizon {self.window.N}, {started}"
         return f"{type(self).__name__}, {size}\n{self.model}"
 
-    def feedback(self, z: Any, sigma_w: Any = None) -> Any:
+    def feedback(self, z: Any, sigma_w: Any = None, known: Any = None) -> Any:
         """Estimate from the newest measurement, by one Gauss-Newton step.
 
         Args:
             z: (n_z,) measurements; an entry that is not finite counts as missing.
             sigma_w: (n_x + n_p,) standard deviations of the process noise since the last sample, of
                 an estimator with `noise_in_window`; None: those that it was made with.
+            known: {name: number} of the Model's known signals; what is not given, or is no finite
+                number, is as at the last sample.
 
         Returns:
             Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p) without the bounds.
@@ -907,11 +918,12 @@ class RHE(RealTimeLoop):
             ValueError: If an argument is invalid.
         """
         self._set_noise(sigma_w)
+        take_known(self.model.known, known, self._known)
         self._set_inputs(z=z)
         self.iteration.feedback()
         return self._estimate()
 
-    def solve(self, z: Any, iterations: int = 20, sigma_w: Any = None) -> Any:
+    def solve(self, z: Any, iterations: int = 20, sigma_w: Any = None, known: Any = None) -> Any:
         """Iterate to convergence on the nonlinear problem.
 
         Steps are shortened by a line search, so that the cost falls, and end once `converged`.
@@ -920,6 +932,7 @@ class RHE(RealTimeLoop):
             z: (n_z,) measurements, as in `feedback`.
             iterations: Gauss-Newton steps, at most.
             sigma_w: Standard deviations of the process noise, as in `feedback`.
+            known: Known signals, as in `feedback`.
 
         Returns:
             Estimate, as `feedback`.
@@ -928,6 +941,7 @@ class RHE(RealTimeLoop):
             ValueError: If an argument is invalid.
         """
         self._set_noise(sigma_w)
+        take_known(self.model.known, known, self._known)
         self._set_inputs(z=z)
         self.iteration.solve(iterations)
         return self._estimate()
@@ -973,7 +987,8 @@ class RHE(RealTimeLoop):
             refuse_noise(sigma_w)
 
     def _start(self):
-        self.iteration.start(init(self.window, *self._guess) | dict(age=0.0))
+        first = init(self.window, *self._guess, known=self._known[:, 0])
+        self.iteration.start(first | dict(age=0.0))
 
     def _estimate(self):
         values, covariance = self._result

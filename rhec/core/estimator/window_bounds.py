@@ -58,7 +58,7 @@ def _build_stage(window, shape):
     def measured(s: s, z: z, noise: noise):
         hessian = ca.SX(interval.n_s, interval.n_s)
         for output in interval.outputs:
-            H = output.H(s)
+            H = output.slope(s, z)
             hessian += H.T @ H * (output.is_valid(z) / noise["V"][output.row])
         # Inputs are whitened, and those that a stage has too many of cost something, too.
         return dict(hessian=ca.densify(ca.diagcat(hessian, ca.SX.eye(shape.m))))

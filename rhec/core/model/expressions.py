@@ -21,14 +21,16 @@ def expression_of(name, function, symbols, *sizes):
 
     Args:
         name: What the user calls it, such as "f".
-        function: Of x, u and p.
-        symbols: x, u and p.
+        function: Of x, u and p, and of known signals where there are some.
+        symbols: These.
         sizes: Allowed numbers of its entries.
 
     Raises:
         ValueError: If it cannot be called, or returns something else.
     """
-    expected = "it should map CasADi expressions (x, u, p) to one expression or a list of them"
+    arguments = ("x", "u", "p", "known")[: len(symbols)]
+    names = ", ".join(arguments)
+    expected = f"it should map CasADi expressions ({names}) to one expression or a list of them"
     try:
         value = function(*map(_Column, symbols))
         if value is None:

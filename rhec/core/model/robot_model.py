@@ -4,6 +4,10 @@ States x change; inputs u act over an interval; parameters p are constant over a
 and controllers work on the joint state s = (x, p), in which the parameters are constant states. If
 an output depends on inputs and anything else, the joint state also holds these last inputs, through
 which that output is measured: s = (x, held inputs, p).
+
+Known signals d, which f and h may read besides, are given with each sample: z_k comes with d_k,
+which h reads at that sample, and f until the next one. They are neither estimated nor measured.
+Behind the outputs they are the last entries of z, and behind the inputs those of v and of u.
 """
 
 import functools
@@ -20,6 +24,7 @@ from rhec.core._casadi.validation import refuse, shown
 from rhec.core.model.expressions import expression_of
 from rhec.core.model.integration import RULES, Rule, integrate
 from rhec.core.model.integration import rk4 as rk4
+from rhec.core.model.known import take_known
 from rhec.core.model.limits import (
     MAX_MEASUREMENT,
     MAX_PLAUSIBLE_STATE,
@@ -57,6 +62,8 @@ class Model:
         parameters: {name: (lowest, highest)} of the parameters p; {name: None} without bounds.
         outputs: Names of the outputs z, which an estimator needs. An output named like a state,
             input or parameter measures just that.
+        known: Names of known signals d, such as the direction of a row, which come with each
+            sample. f and h are then functions of (x, u, p, d).
         f: (x, u, p) -> ẋ, CasADi expressions of shapes (n_x,), (n_u,), (n_p,) -> (n_x,), as one
             column or as a list. An argument can be unpacked: `a, b = x`.
         h: (x, u, p) -> the outputs with other names, in order; or all of z.
@@ -87,8 +94,9 @@ class Model:
     inputs: tuple[str, ...] = ()
     parameters: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
     outputs: tuple[str, ...] = ()
-    f: Callable[[Any, Any, Any], Any]
-    h: Callable[[Any, Any, Any], Any] | None = None
+    known: tuple[str, ...] = ()
+    f: Callable[..., Any]
+    h: Callable[..., Any] | None = None
     max_measurement: tuple[float, ...] | None = None
     angles: tuple[str, ...] = ()
     heading: str | None = None
@@ -100,7 +108,7 @@ class Model:
     state_bounds: Mapping[str, tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("states", "inputs", "outputs", "angles"):
+        for name in ("states", "inputs", "outputs", "known", "angles"):
             object.__setattr__(self, name, _names_of(name, getattr(self, name)))
         _check_names(self)
         if not callable(self.f) or not callable(self.h or self.f):
@@ -129,6 +137,7 @@ class Model:
             f"\n    inputs:     {', '.join(self.inputs) or 'none'}"
             f"\n    parameters: {', '.join(parameters) or 'none'}"
             f"\n    outputs:    {', '.join(self.outputs) or 'none'}"
+            + (f"\n    known:      {', '.join(self.known)}" if self.known else "")
         )
 
     @property
@@ -137,15 +146,25 @@ class Model:
         return (*self.states, *self.inputs, *self.parameters)
 
     @property
+    def acting(self) -> tuple[str, ...]:
+        """Names of all that acts over an interval: inputs, then known signals."""
+        return (*self.inputs, *self.known)
+
+    @property
+    def sampled(self) -> tuple[str, ...]:
+        """Names of all that comes with a sample z: outputs, then known signals."""
+        return (*self.outputs, *self.known)
+
+    @property
     def limits(self) -> tuple[float, ...]:
         """Largest plausible size of each output."""
         return self.max_measurement or (MAX_MEASUREMENT,) * len(self.outputs)
 
     @functools.cached_property
     def dynamics(self) -> ca.Function:
-        """(x, u, p) -> ẋ, or the next state of a discrete Model."""
+        """(x, u, p) -> ẋ, or the next state of a discrete Model; u ends with what is known."""
         symbols = _symbols(self)
-        slope = expression_of("f", self.f, symbols, len(self.states))
+        slope = expression_of("f", self.f, arguments_of(self, *symbols), len(self.states))
         return ca.Function("f", symbols, [slope], ["x", "u", "p"], ["f"])
 
     @functools.cached_property
@@ -159,14 +178,14 @@ class Model:
     def measurement(self) -> ca.Function:
         """(x, u, p) -> z."""
         symbols = _symbols(self)
-        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*symbols))))
+        values = dict(zip(self.names, ca.vertsplit(ca.vertcat(*arguments_of(self, *symbols)[:3]))))
         unnamed = [name for name in self.outputs if name not in values]
         if unnamed and self.h is None:
             expected = "it should be given, since nothing in the model has that name"
             raise ValueError(f"h was not given for the output {unnamed[0]!r}; {expected}")
         if self.h is not None:
             sizes = {len(self.outputs), len(unnamed) or len(self.outputs)}
-            outputs = ca.vertsplit(expression_of("h", self.h, symbols, *sizes))
+            outputs = ca.vertsplit(expression_of("h", self.h, arguments_of(self, *symbols), *sizes))
             names = self.outputs if len(outputs) == len(self.outputs) else unnamed
             values |= dict(zip(names, outputs))
         z = (values[name] for name in self.outputs)
@@ -182,6 +201,7 @@ class Model:
         integration = (self.steps, self.rule, self.discrete)
         named = (
             self.names,
+            self.known,
             self.limits,
             self.angles,
             self.heading,
@@ -206,7 +226,9 @@ class Model:
             if bounds is not None
         }
 
-    def simulate(self, x: Any, u: Any, p: Any = (), *, dt: float) -> np.ndarray:
+    def simulate(
+        self, x: Any, u: Any, p: Any = (), *, dt: float, known: Mapping[str, Any] | None = None
+    ) -> np.ndarray:
         """Integrate from a state under inputs that are constant over each sample.
 
         Args:
@@ -214,6 +236,7 @@ class Model:
             u: (n, n_u) inputs, a row for each sample.
             p: (n_p,) parameters.
             dt: Length of a sample [s].
+            known: {name: number, or (n,) numbers} of the Model's known signals.
 
         Returns:
             (n + 1, n_x) states, a row for each sample and the first of them x, by the Model's
@@ -230,6 +253,9 @@ class Model:
         u = np.atleast_2d(np.asarray(u, float))
         if u.shape[1:] != (len(self.inputs),):
             raise ValueError(f"u had shape {u.shape}; it should have (n, {len(self.inputs)})")
+        d = np.full((len(self.known), len(u)), np.nan)
+        take_known(self.known, known, d)
+        u = np.hstack([u, d.T])
         step = interval(self, measured=False).step
         s = np.concatenate([given["x"], given["p"]])
         trajectory = [given["x"]]
@@ -263,15 +289,21 @@ class Model:
         """Length of the joint state."""
         return len(self.joint_names)
 
-    @property
+    @functools.cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joint state's entries."""
         return (*self.states, *self.held_inputs, *self.parameters)
 
 
 def _symbols(model):
-    vectors = dict(x=model.states, u=model.inputs, p=model.parameters)
+    vectors = dict(x=model.states, u=model.acting, p=model.parameters)
     return [ca.SX.sym(letter, len(names)) for letter, names in vectors.items()]
+
+
+def arguments_of(model, x, u, p):
+    """What a user's function is called with, where u ends with what is known."""
+    n_u = len(model.inputs)
+    return [x, u[:n_u], p, *([u[n_u:]] if model.known else [])]
 
 
 def _noise_function(model):
@@ -300,7 +332,12 @@ def _check_names(model):
         refuse("states was", model.states, "it should be a tuple of names, or one name")
     if not isinstance(model.parameters, Mapping):
         refuse("parameters was", model.parameters, "it should be a dict of names to bounds or None")
-    named = {"states, inputs, parameters": model.names, "outputs": model.outputs}
+    named = {
+        "states, inputs, parameters": model.names,
+        "outputs": model.outputs,
+        "states, inputs, parameters, known": (*model.names, *model.known),
+        "outputs, known": model.sampled,
+    }
     for where, names in named.items():
         for name in names:
             if not isinstance(name, str) or not name.isidentifier():
@@ -374,18 +411,30 @@ class Output(NamedTuple):
 
     row: int
     limit: float
-    h: ca.Function  # s -> ()
-    H: ca.Function  # s -> (1, n_s)
+    h: ca.Function  # (s, known signals) -> ()
+    H: ca.Function  # (s, known signals) -> (1, n_s)
     affine: bool
     is_angle: bool = False  # whether it is measured up to full turns
+    known: tuple[int, ...] = ()  # places in z of the known signals
 
-    def predicted(self, s, s_bar):
-        """The output at s, linearised at s_bar where it is not affine."""
-        return self.h(s) if self.affine else self.h(s_bar) + self.H(s_bar) @ (s - s_bar)
+    def value(self, s, z):
+        """The output at s, with what is known in z."""
+        return self.h(s, *(z[row] for row in self.known))
+
+    def slope(self, s, z):
+        """H at s, with what is known in z."""
+        return self.H(s, *(z[row] for row in self.known))
 
     def residual(self, z, s, s_bar):
-        """The measurement in z minus the output at s; of an angle within ±π."""
-        difference = z[self.row] - self.predicted(s, s_bar)
+        """The measurement in z minus the output at s; of an angle within ±π.
+
+        An output that is not affine is linearised at s_bar.
+        """
+        if self.affine:
+            predicted = self.value(s, z)
+        else:
+            predicted = self.value(s_bar, z) + self.slope(s_bar, z) @ (s - s_bar)
+        difference = z[self.row] - predicted
         if not self.is_angle:
             return difference
         return difference - 2 * ca.pi * ca.floor(difference / (2 * ca.pi) + 0.5)
@@ -409,6 +458,7 @@ class Interval(NamedTuple):
     bounds: dict[int, tuple[float, float]]  # place in s: (lowest, highest)
     sigma_held: dict[int, float]  # place in v: as the Model says, where it does
     motion_noise: MotionNoise | None
+    known: dict[int, int]  # place in v: place in z of known signals, which no unknown is fitted to
 
     @property
     def sparsities(self):
@@ -423,7 +473,7 @@ class Interval(NamedTuple):
         """
         mean = []
         variance = []
-        for place in range(self.n_v):
+        for place in range(self.n_v - len(self.known)):
             sigma = self.sigma_held.get(place)
             if place in self.input_outputs:
                 row, limit = self.input_outputs[place]
@@ -440,8 +490,24 @@ class Interval(NamedTuple):
                 missing = sigma**2 if held is None else held
                 mean.append(v[place])
                 variance.append(ca.if_else(n_valid, (SIGMA_UNMEASURED * sigma) ** 2, missing))
-        noise = ca.vertcat(*mean), ca.vertcat(*variance)
-        return self.motion_noise.inputs(*noise, c) if self.motion_noise else noise
+        mean, variance = ca.vertcat(*mean), ca.vertcat(*variance)
+        if self.motion_noise:
+            mean, variance = self.motion_noise.inputs(mean, variance, c)
+        # What is known has no slopes B, so that its variance is a number that nothing reads.
+        known = [v[place] for place in self.known]
+        return ca.vertcat(mean, *known), ca.vertcat(variance, *(1 for _ in known))
+
+    def with_known(self, v, z):
+        """Inputs v (n_v,) of the interval that begins at a sample z, with what is known there."""
+        v = type(v)(v)
+        for place, row in self.known.items():
+            v[place] = z[row]
+        return v
+
+    def without_measurements(self, z):
+        """A sample z (n_z,) in which nothing was measured; what is known stays."""
+        known = [z[row] for row in self.known.values()]
+        return ca.vertcat(ca.DM.nan(z.numel() - len(known)), *known)
 
     def process_noise(self, v, W, dt_s, c=None):
         """Variances (n_s,) of the process noise of an interval of dt_s [s]."""
@@ -455,7 +521,10 @@ def interval(model, measured=True):
     A controller's interval is not `measured`: it has no outputs, nor the last inputs in s.
     """
     x, u, p = _symbols(model)
-    u_last = ca.SX.sym("last", len(model.inputs))
+    u_last = ca.SX.sym("last", u.numel())
+    n_u = len(model.inputs)
+    n_z = len(model.outputs)
+    known = range(n_u, u.numel()) if measured else ()
     dt_s = ca.SX.sym("dt_s")
     end = integrate(model, x, u, p, dt_s)
     x_next = ca.cse(end.x)
@@ -467,7 +536,7 @@ def interval(model, measured=True):
         s = ca.vertcat(x, u_last[held], p)
         s_next = ca.vertcat(x_next, ca.if_else(dt_s > 0, u[held], u_last[held]), p)
     J = _derivatives_by(s, u, s_next, end.jacobian, (x, p))
-    s_next, A_0, D, B = _split_derivatives(model, s, u, s_next, J)
+    s_next, A_0, D, B = _split_derivatives(model, s, u, s_next, J, len(known))
     limits = model.limits
     z = model.measurement(x, u_last, p)
     input_rows = model.input_outputs.values()
@@ -480,16 +549,20 @@ def interval(model, measured=True):
         n_s=s.numel(),
         n_v=u.numel(),
         outputs=tuple(
-            _output(row, limits[row], z[row], s, model.outputs[row] in model.angles) for row in rows
+            _output(
+                row, n_z, limits[row], z[row], s, model.outputs[row] in model.angles, u_last[n_u:]
+            )
+            for row in rows
         ),
         input_outputs={place: (row, limits[row]) for place, row in model.input_outputs.items()},
         mixing_outputs={
             place: [(row, limits[row]) for row in rows if ca.depends_on(z[row], u_last[place])]
-            for place in range(u.numel())
+            for place in range(n_u)
         },
         bounds=model.bounds,
         sigma_held={model.inputs.index(name): sigma for name, sigma in model.sigma_held.items()},
         motion_noise=model.motion_noise,
+        known={place: n_z + place - n_u for place in known},
     )
 
 
@@ -507,25 +580,33 @@ def _derivatives_by(s, u, s_next, jacobian, x_and_p):
     return ca.vertcat(ca.horzcat(by_x, held, by_p, by_u), others)
 
 
-def _split_derivatives(model, s, u, s_next, J):
-    """s⁺ and its derivatives ∂s⁺/∂s = A_0 + D and B = ∂s⁺/∂u, with A_0 constant."""
+def _split_derivatives(model, s, u, s_next, J, n_known):
+    """s⁺ and its derivatives ∂s⁺/∂s = A_0 + D and B = ∂s⁺/∂u, with A_0 constant.
+
+    B has no entries in the last n_known columns.
+    """
     A = ca.sparsify(J[:, : s.numel()])
-    B = J[:, s.numel() :]
+    B = ca.horzcat(J[:, s.numel() : J.size2() - n_known], ca.SX(J.size1(), n_known))
     constants = [float(a) if a.is_constant() else 0 for a in A.nz[:].elements()]
     A_0 = ca.sparsify(ca.DM(A.sparsity(), constants))
     if model.motion_noise:
         # Inputs without an output of their own are noise, such as slip. The interval is linear in
         # them, about zero: a value that was fitted to the noise must not change A and B.
-        u_bar = u * ca.DM([float(place in model.input_outputs) for place in range(u.numel())])
+        n_u = len(model.inputs)
+        is_noise = (place < n_u and place not in model.input_outputs for place in range(u.numel()))
+        u_bar = u * ca.DM([float(not noise) for noise in is_noise])
         s_next, A, B = ca.substitute([s_next, A, B], [u], [u_bar])
         s_next += B @ (u - u_bar)
     s_next, D, B = sines_by_addition([s_next, ca.sparsify(A - A_0), B])
     return s_next, A_0, D, B
 
 
-def _output(row, limit, z_row, s, is_angle):
-    """The Output whose value is the expression z_row of the joint state s."""
+def _output(row, n_z, limit, z_row, s, is_angle, known):
+    """The Output whose value is the expression z_row of the joint state s and what is known."""
     H = ca.jacobian(z_row, s)
-    h = ca.Function("h", [s], [z_row])
-    slope = ca.Function("H", [s], [ca.sparsify(H)])
-    return Output(row, limit, h, slope, not ca.depends_on(H, s), is_angle)
+    places = [place for place in range(known.numel()) if ca.depends_on(z_row, known[place])]
+    inputs = [s, *(known[place] for place in places)]
+    h = ca.Function("h", inputs, [z_row])
+    slope = ca.Function("H", inputs, [ca.sparsify(H)])
+    rows = tuple(n_z + place for place in places)
+    return Output(row, limit, h, slope, not ca.depends_on(H, s), is_angle, rows)

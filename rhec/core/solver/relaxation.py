@@ -33,10 +33,11 @@ _NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration e
 _TINY = 1e-300
 
 
-def relaxation(unknowns, data, cost):
+def relaxation(name, unknowns, data, cost):
     """Build the Function that goes a share of a step, like `line_search`.
 
     Args:
+        name: Of the Function.
         unknowns: {name: shape} of the unknowns.
         data: {name: shape} of what the cost depends on besides.
         cost: Function (unknowns, data) -> cost, gaps, and beyond: Σ t of each row without a price.
@@ -55,7 +56,7 @@ def relaxation(unknowns, data, cost):
     known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1), price=rows, excess=rows)
     merit = _build_merit(unknowns, data, cost)
 
-    @casadi_function("rhc_search", ca.MX, **unknowns, **full, **known, **data)
+    @casadi_function(name, ca.MX, **unknowns, **full, **known, **data)
     def search(penalty, solved, kkt, price, excess, **values):
         share, relief, mu, last = ca.vertsplit(penalty, [0, 1, 2, 3, carried])
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)

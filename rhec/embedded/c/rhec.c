@@ -252,12 +252,12 @@ int rhec_control(struct rhec *r, double *omega)
     int status = take_restart(r, RHEC_CONTROLLER_RESTARTED);
 
     path_follow(r);
-    if (!are_plausible(r->path.s_next, 1)) {
+    if (!are_plausible(r->path.s_next_m, 1)) {
         path_closest(r);
         path_follow(r);
         status |= RHEC_CONTROLLER_RESTARTED;
     }
-    r->path.s[0] = r->path.s_next[0];
+    r->path.s_m[0] = r->path.s_next_m[0];
     memcpy(r->controller.s_0, r->estimate, sizeof r->estimate);
     status |= controller_step(r);
     r->omega[0] = r->controller.u_plan[0];

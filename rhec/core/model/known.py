@@ -1,0 +1,35 @@
+"""Known signals of a Model, which come with each sample: checked, and held where one is missing."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rhec.core._casadi.validation import numbers, refuse
+
+
+def take_known(names, given, held):
+    """Copy known signals into an array; what is not given, or is not finite, stays as it was.
+
+    Args:
+        names: Of the Model's known signals.
+        given: {name: number, or (n,) numbers}; None: nothing is given.
+        held: (n_d, n) array of the last ones, NaN before the first.
+
+    Raises:
+        ValueError: If a name or a shape does not fit, or if a signal never had a value.
+    """
+    if given is not None and not isinstance(given, Mapping):
+        refuse("known was", given, f"it should be a dict with numbers for {names}")
+    for name, value in (given or {}).items():
+        if name not in names:
+            refuse("known had", name, f"the Model has the known signals {names}")
+        row = held[names.index(name)]
+        value = numbers(f"known[{name!r}]", value)
+        if value.shape not in ((), row.shape):
+            several = f" or {len(row)} numbers" if len(row) > 1 else ""
+            expected = f"it should be a number{several}"
+            raise ValueError(f"known[{name!r}] had shape {value.shape}; {expected}")
+        np.copyto(row, value, where=np.isfinite(value))
+    for name, row in zip(names, held):
+        if np.isnan(row).any():
+            raise ValueError(f"known had no {name!r}; the first sample needs a number for it")

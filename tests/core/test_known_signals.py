@@ -1,0 +1,299 @@
+"""Known signals of a Model: the Kalman filter of a linear robot whose outputs and forces change by
+sample, the least squares of its controller, and what a missing signal is taken to be.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import assert_refused
+from in_c import InC
+
+import rhec
+
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+DT = 0.2
+SIGMA_V, SIGMA_W = (0.05, 0.02), (0.01, 0.03, 0.004)
+GUESS, SIGMA_GUESS = (0.3, -0.1, 0.2), (0.5, 0.4, 0.3)
+NOISE = dict(sigma_v=SIGMA_V, sigma_w=SIGMA_W, guess=GUESS, sigma_guess=SIGMA_GUESS)
+A = np.array([[1, DT, 0], [0, 1, 0], [0, 0, 1]])
+PUSH = np.array([DT**2 / 2, DT, 0])
+
+
+def cart(**changes):
+    """A cart that is pushed by a known force, and seen from a known direction besides."""
+    return rhec.Model(
+        **dict(
+            states=("x_m", "v_mps"),
+            parameters={"offset": None},
+            outputs=("seen", "v_mps"),
+            known=("push", "direction"),
+            f=lambda x, u, p, d: [x[1], d[0]],
+            h=lambda x, u, p, d: [ca.cos(d[1]) * x[0] + ca.sin(d[1]) * p[0]],
+        )
+        | changes
+    )
+
+
+def row_robot(direction=None):
+    """A unicycle that measures how far it is beside a row, whose direction is known or fixed."""
+
+    def beside(x, angle):
+        return ca.cos(angle) * x[1] - ca.sin(angle) * x[0]
+
+    known = {} if direction is not None else dict(known="row_rad")
+    return rhec.Model(
+        states=("x_m", "y_m", "theta_rad"),
+        inputs=("v_mps", "omega_radps"),
+        parameters={"mu": (0.0, 1.0)},
+        outputs=("x_m", "y_m", "beside_m", "v_mps", "omega_radps"),
+        f=lambda x, u, p, *d: [p[0] * u[0] * ca.cos(x[2]), p[0] * u[0] * ca.sin(x[2]), u[1]],
+        h=lambda x, u, p, d=None: [beside(x, direction if d is None else d[0])],
+        heading="theta_rad",
+        **known,
+    )
+
+
+OF_ROW_ROBOT = dict(
+    dt=DT,
+    sigma_v=(0.03, 0.03, 0.02, 0.02, 0.02),
+    sigma_w=(0.005, 0.005, 0.01, 0.01),
+    guess=(0.0, 0.0, 0.1, 0.9),
+    sigma_guess=(0.1, 0.1, 0.3, 0.2),
+)
+
+
+def drive(rng, n):
+    """Measurements (n, 2) of the cart, a fifth of `seen` missing, and its known signals (n, 2)."""
+    known = np.column_stack([rng.uniform(-1, 1, n), rng.uniform(-3, 3, n)])
+    s = rng.normal(GUESS, SIGMA_GUESS)
+    z = np.empty((n, 2))
+    for k, (push, direction) in enumerate(known):
+        z[k] = (np.cos(direction) * s[0] + np.sin(direction) * s[2], s[1]) + rng.normal(0, SIGMA_V)
+        s = A @ s + PUSH * push + rng.normal(0, SIGMA_W)
+    z[rng.random(n) < 0.2, 0] = np.nan
+    return z, known
+
+
+def kalman(z, known):
+    """Means and covariances by the textbook's filter: a force holds until the next sample."""
+    m, P = np.array(GUESS), np.diag(np.square(SIGMA_GUESS))
+    found = []
+    for k, (row, (_, direction)) in enumerate(zip(z, known)):
+        if k:
+            m = A @ m + PUSH * known[k - 1, 0]
+            P = A @ P @ A.T + np.diag(np.square(SIGMA_W))
+        H = np.array([[np.cos(direction), 0, np.sin(direction)], [0, 1, 0]])[~np.isnan(row)]
+        V = np.diag(np.square(SIGMA_V)[~np.isnan(row)])
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
+        m, P = m + K @ (row[~np.isnan(row)] - H @ m), P - K @ H @ P
+        found.append((m, P))
+    return found
+
+
+def by_name(row):
+    return dict(zip(("push", "direction"), row))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: rhec.EKF(model=cart(), dt=DT, **NOISE),
+        lambda: rhec.RHE(model=cart(), dt=DT, horizon=2, noise_in_window=True, **NOISE),
+        lambda: rhec.RHE(model=cart(), dt=DT, horizon=7, noise_in_window=True, **NOISE),
+    ],
+)
+def test_on_a_linear_robot_it_is_the_kalman_filter(make):
+    """At every sample, so that a window has kept the signals of each of its samples."""
+    z, known = drive(np.random.default_rng(0), 40)
+    made = make()
+    for row, signals, (m, P) in zip(z, known, kalman(z, known)):
+        found = made.step(row, known=by_name(signals))
+        np.testing.assert_allclose([*found.x, *found.p], m, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.covariance, P, rtol=0, atol=1e-9)
+    assert made.ok
+
+
+def test_iterations_end_where_a_step_ends_that_is_exact():
+    z, known = drive(np.random.default_rng(1), 20)
+    one, other = (rhec.RHE(model=cart(), dt=DT, horizon=6, **NOISE) for _ in range(2))
+    for row, signals in zip(z, known):
+        stepped = one.step(row, known=by_name(signals))
+        other.prepare()
+        solved = other.solve(row, known=by_name(signals))
+        assert other.converged
+        np.testing.assert_allclose([*solved.x, *solved.p], [*stepped.x, *stepped.p], atol=1e-8)
+        np.testing.assert_allclose(one.x_window, other.x_window, atol=1e-8)
+
+
+def samples_of_row_robot(direction, n=60):
+    """Measurements of a drive beside a row, with a jump that restarts the window."""
+    rng = np.random.default_rng(2)
+    fixed = row_robot(direction)
+    inputs = np.column_stack([np.full(n, 0.5), 0.3 * np.sin(0.2 * np.arange(n))])
+    x = fixed.simulate([0.0, 0.0, 0.0], inputs, [0.8], dt=DT)[1:]
+    z = [np.array(fixed.measurement(*each, [0.8])).ravel() for each in zip(x, inputs)]
+    z += rng.normal(0, OF_ROW_ROBOT["sigma_v"], (n, 5))
+    z[25:45, :2] += 2.0
+    z[10, 2], z[12, 0] = np.nan, 30.0
+    return z
+
+
+@pytest.mark.parametrize("options", [dict(horizon=5), dict(horizon=5, noise_in_window=True)])
+def test_a_signal_that_stays_the_same_is_a_number_in_the_model(options):
+    """Through outliers, a restart and iterations."""
+    settings = OF_ROW_ROBOT | options
+    known, fixed = (rhec.RHE(model=row_robot(d), **settings) for d in (None, 0.7))
+    restarted = False
+    for k, row in enumerate(samples_of_row_robot(0.7)):
+        verb = "solve" if k % 11 == 5 else "feedback"
+        known.prepare(), fixed.prepare()
+        found = getattr(known, verb)(row, known=dict(row_rad=0.7))
+        wanted = getattr(fixed, verb)(row)
+        np.testing.assert_allclose(
+            [*found.x, *found.u, *found.p], [*wanted.x, *wanted.u, *wanted.p]
+        )
+        np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-12)
+        assert known.ok == fixed.ok
+        restarted |= not known.ok
+    assert restarted and known.ok
+
+
+def test_bounds_of_states_hold_beside_known_signals():
+    bounds = dict(state_bounds={"x_m": (-0.2, 0.2)})
+    z, known = drive(np.random.default_rng(3), 30)
+    made = rhec.RHE(model=cart(**bounds), dt=DT, horizon=4, **NOISE | dict(guess=(0.0, 0.0, 0.0)))
+    free = rhec.RHE(model=cart(), dt=DT, horizon=4, **NOISE | dict(guess=(0.0, 0.0, 0.0)))
+    beyond = 0
+    for row, signals in zip(z, known):
+        made.step(row, known=by_name(signals)), free.step(row, known=by_name(signals))
+        assert np.all(np.abs(made.x_window[0]) <= 0.2 + 1e-9)
+        beyond += np.any(np.abs(free.x_window[0]) > 0.2)
+    assert beyond
+
+
+def test_a_missing_signal_is_the_last_one():
+    """Left out or NaN, in estimators and controllers."""
+    z, known = drive(np.random.default_rng(4), 12)
+    known[5:8, 0] = known[4, 0]
+    known[6:9, 1] = known[5, 1]
+    for make in (
+        lambda: rhec.EKF(model=cart(), dt=DT, **NOISE),
+        lambda: rhec.RHE(model=cart(), dt=DT, horizon=3, **NOISE),
+    ):
+        told, held = make(), make()
+        for k, (row, signals) in enumerate(zip(z, known)):
+            given = by_name(signals)
+            if 5 <= k < 8:
+                given["push"] = np.nan
+            if 6 <= k < 9:
+                del given["direction"]
+            one, other = told.step(row, known=by_name(signals)), held.step(row, known=given or None)
+            np.testing.assert_array_equal(one.x, other.x)
+    told, held = pushed_rhc(), pushed_rhc()
+    for push in ([0.1] * 8, None, dict(push=np.nan)):
+        given = dict(push=push) if isinstance(push, list) else push
+        one = told.step((1.0, 0.0), known=dict(push=0.1))
+        np.testing.assert_array_equal(one, held.step((1.0, 0.0), known=given))
+
+
+def pushed(discrete=False):
+    """A cart with a force that is commanded, and one that is known."""
+    return rhec.Model(
+        states=("x_m", "v_mps"),
+        inputs="force",
+        known="push",
+        f=lambda x, u, p, d: [x[1], u[0] + d[0]],
+    )
+
+
+def pushed_rhc(**options):
+    return rhec.RHC(model=pushed(), q=(1.0, 0.1), r=(0.2,), dt=DT, horizon=8, **options)
+
+
+@pytest.mark.parametrize("options", [{}, dict(outputs={"v": lambda x, u, p, d: x[1] + 0 * d[0]})])
+def test_a_plan_counts_on_what_is_known_of_the_horizon(options):
+    """It is the least squares of the whole horizon, by dense matrices."""
+    rng = np.random.default_rng(5)
+    rhc = pushed_rhc(**options)
+    F, G = A[:2, :2], PUSH[:2]
+    for _ in range(5):
+        x, push = rng.normal(size=2), rng.normal(size=8)
+        by_force, free = np.zeros((16, 8)), []
+        for i in range(8):
+            x_free = F @ (free[-1] if free else x) + G * push[i]
+            free.append(x_free)
+            for j in range(i + 1):
+                by_force[2 * i : 2 * i + 2, j] = np.linalg.matrix_power(F, i - j) @ G
+        W = np.tile([1.0, 0.1], 8)
+        H = by_force.T * W @ by_force + 0.2 * np.eye(8)
+        plan = np.linalg.solve(H, -by_force.T * W @ np.concatenate(free))
+        np.testing.assert_allclose(rhc.step(x, known=dict(push=push)), plan[:1], atol=1e-9)
+        np.testing.assert_allclose(rhc.u_plan, [plan], atol=1e-9)
+
+
+def test_a_controller_may_start_from_a_plan():
+    rhc = pushed_rhc(bounds={"force": (-1, 1)})
+    rhc.restart(u_plan=[0.5])
+    rhc.prepare()
+    assert rhc.solve((1.0, 0.0), known=dict(push=0.4)).shape == (1,) and rhc.converged
+    other = pushed_rhc(bounds={"force": (-1, 1)})
+    np.testing.assert_allclose(other.step((1.0, 0.0), known=dict(push=0.4)), rhc.u_plan[:, 0])
+
+
+def test_a_simulation_holds_a_signal_over_its_sample():
+    one = cart().simulate([1.0, 0.0], np.zeros((2, 0)), [0.0], dt=DT, known=by_name([0.5, 0.0]))
+    np.testing.assert_allclose(one[1:], [[1.01, 0.1], [1.04, 0.2]])
+    two = dict(push=[0.5, -0.5], direction=0.0)
+    found = cart().simulate([1.0, 0.0], np.zeros((2, 0)), [0.0], dt=DT, known=two)
+    np.testing.assert_allclose(found[2], [1.02, 0.0], atol=1e-12)
+
+
+def test_in_exported_c_they_follow_the_outputs_and_the_inputs(tmp_path):
+    z, known = drive(np.random.default_rng(6), 20)
+    mhe = rhec.RHE(model=cart(), dt=DT, horizon=4, **NOISE)
+    in_c = InC(rhec.export(mhe, tmp_path / "rhe"))
+    for row, signals in zip(z, known):
+        found = mhe.step(row, known=by_name(signals))
+        in_c.prepare()
+        answer, _ = in_c.call("estimate", [*row, *signals], length=3)
+        np.testing.assert_allclose(answer, [*found.x, *found.p], rtol=0, atol=1e-12)
+    mpc = pushed_rhc()
+    in_c = InC(rhec.export(mpc, tmp_path / "rhc"))
+    for k in range(5):
+        x, push = np.array([1.0 - 0.1 * k, 0.0]), 0.1 * np.arange(8) - 0.05 * k
+        command = mpc.step(x, known=dict(push=push))
+        in_c.prepare()
+        u_ref = [np.zeros(8), push]
+        answer, _ = in_c.call("control", x, [], np.zeros((2, 9)), u_ref, length=2)
+        np.testing.assert_allclose(answer, [*command, push[0]], rtol=0, atol=1e-9)
+
+
+def test_what_does_not_fit_is_refused_in_a_sentence():
+    rhe = rhec.RHE(model=cart(), dt=DT, horizon=3, **NOISE)
+    ekf = rhec.EKF(model=cart(), dt=DT, **NOISE)
+    z = (0.1, 0.0)
+    assert_refused(
+        lambda known: (rhe.step(z, known=known), ekf.step(z, known=known)),
+        [
+            (dict(known=None), "known had no 'push'; the first sample needs a number for it"),
+            (dict(known=dict(push=np.nan)), "known had no 'push'"),
+            (dict(known=dict(push=1.0)), "known had no 'direction'"),
+            (dict(known=dict(pull=1.0)), "known had 'pull'"),
+            (dict(known=dict(push=(1.0, 2.0))), "known['push'] had shape (2,)"),
+            (dict(known=dict(push="hard")), "known['push'] was 'hard'"),
+            (dict(known=0.3), "known was 0.3; it should be a dict"),
+        ],
+    )
+    assert_refused(
+        cart,
+        [
+            (dict(known=("push", "x_m")), "'x_m' was twice in"),
+            (dict(known=("push", "seen")), "'seen' was twice in outputs, known"),
+            (dict(known=3), "known was 3"),
+            (dict(known=()), "f was refused"),
+        ],
+    )
+    with pytest.raises(
+        ValueError, match=r"the Model has the known signals \('push', 'direction'\)"
+    ):
+        rhec.replay(None, model=cart(), dt=DT, horizon=3, **NOISE)
