@@ -308,7 +308,7 @@ def arguments_of(model, x, u, p):
 
 def _noise_function(model):
     """The Model's MotionNoise as a Function of (u, R, W, dt_s, c)."""
-    _, u, _ = _symbols(model)
+    u = ca.SX.sym("u", len(model.inputs))
     R = ca.SX.sym("R", u.numel())
     W = ca.SX.sym("W", model.n_s)
     dt_s = ca.SX.sym("dt_s")
