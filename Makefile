@@ -110,8 +110,9 @@ $(READY): environment.txt pyproject.toml
 	@echo "Setting up .venv with $$("$$PYTHON" --version) (a minute or two the first time)"
 	@"$$PYTHON" -m venv .venv
 	@echo "Installing $$(grep -c == environment.txt) packages"
-	@# Every five seconds, for as long as this shell lives, a line says what pip is at.
-	@(while sleep 5 && kill -0 $$$$ 2>/dev/null; do tail -n 1 .venv/pip.log | cut -c 1-90; done) & \
+	@# Every ten seconds, for as long as this shell lives, a line says what pip is at.
+	@(s=0; while sleep 10 && kill -0 $$$$ 2>/dev/null; do s=$$((s + 10)); \
+	  echo "  $$s s: $$(grep -v WARNING .venv/pip.log | tail -n 1 | cut -c 1-80)"; done) & \
 	  $(PIP) --require-hashes -r environment.txt > .venv/pip.log 2>&1 || \
   { tail .venv/pip.log >&2; exit 1; }
 	@$(PIP) -q --no-deps --no-build-isolation -e . && touch $@

@@ -28,8 +28,10 @@ _INTRODUCTION = """A claim *holds* if the whole 95 % interval lies on its side o
 *does not hold* if none of it does; otherwise it is undecided. A number of the paper is *met*,
 *possible* for a single drive, or *not met* ([how claims are judged](docs/claims.md)). Where the
 verdict names a departure, the text as printed gives the other. A verdict *by derivation* follows
-from equations or from the paper's own numbers. A click on a card shows the paper's words, the rule,
-the reason and the command that judges the claim again."""
+from equations or from the paper's own numbers. The ledger takes 40 fields, and more only as long as
+a claim is undecided; README and the notebooks have more of them, so that their numbers are closer.
+A click on a card shows the paper's words, the rule, the reason and the command that judges the
+claim again."""
 _TEMPLATE = Path(__file__).with_name("cards.html.j2")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.

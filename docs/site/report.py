@@ -137,7 +137,9 @@ def _lay_out(source, notebooks, figures, live):
     for package in SHOWN:
         (source / f"licences/{package}.txt").write_text(licence(package), encoding="utf-8")
     (source / "figures").mkdir()
-    for picture in re.findall(r"figures/\w+\.png", (ROOT / "README.md").read_text("utf-8")):
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    shown = " ".join(page.read_text("utf-8") for page in pages)
+    for picture in sorted({*re.findall(r"figures/\w+\.png", shown)}):
         shutil.copy(ROOT / picture, source / picture)
     places = {path.name: path.relative_to(ROOT) for path in (ROOT / "notebooks").rglob("*.ipynb")}
     stories = {places[file.name]: nbformat.read(file, as_version=4) for file in notebooks}

@@ -85,7 +85,8 @@ def phases(times, machine):
         total = sum(reported[which][1] for which in _FEEDBACK)
         last = len(_COLOURS)
         axes.plot(total, last + shift, marker, color=colour, markersize=4)
-        note(axes, f"{total:.3g} µs", (total, last + shift), (5, 0))
+        # One text above its marker and one below, for the two may be as long.
+        note(axes, f"{total:.3g} µs", (total, last + shift), (5, -40 * shift))
     names = [" ".join(which) for which in _COLOURS]
     axes.set_yticks(range(len(names) + 1), [*names, "measurement to command"])
     axes.set(ylim=(len(names) + 0.5, -0.5))

@@ -27,7 +27,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
       const ten = 10 ** Math.floor(Math.log10(apart / per));
       const step = ten * [1, 2, 5, 10].find(times => times * ten * per >= apart);
       for (let i = Math.ceil(low / step); (i * step - low) * per <= pixels + 0.1; i++)
-        put(i * step, Number((i * step).toPrecision(6)));
+        put(i * step, `${Number((i * step).toPrecision(6))}`.replace("-", "−"));
     };
     c.beginPath(), c.textAlign = "center";
     ticks(x0, right - left, sx, 60, (x, text) => {

@@ -58,7 +58,7 @@ class Views {
       cursor.style.left = `${canvas.offsetLeft + across}px`;
       cursor.style.top = `${canvas.offsetTop + down}px`;
       cursor.style.height = plot.over_time ? `${bottom - top}px` : "";
-      const number = value => Number(value.toPrecision(3));
+      const number = value => `${Number(value.toPrecision(3))}`.replace("-", "−");
       const said = known.map(({ label, x, y }) =>
         `${label} ${plot.over_time ? "" : `${number(x(k))}, `}${number(y(k))}`);
       words.value = [...plot.over_time ? [`${x(k).toFixed(1)} s`] : [], ...said].join(" · ");

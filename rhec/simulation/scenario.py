@@ -37,6 +37,9 @@ of_sensors = partial(valid.Doc, group="the sensors")
 
 @valid.validated
 class Scenario:
+    # What is no parameter, but is looked for here.
+    INSTEAD = dict(world="a world is a set of them, as in Scenario(**rhec.WORLDS['soft'])")
+
     # Pydantic skips a union with a class of ours; `_check_types` refuses in one sentence.
     estimator: Annotated[
         EstimatorName | Estimator | ca.Function,

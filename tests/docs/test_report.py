@@ -51,8 +51,9 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     source = tmp_path / "source"
     report._lay_out(source, [executed], figures, live=False)
     published = {file.name for file in (source / "figures").iterdir()}
-    readme = set(re.findall(r"figures/(\w+\.png)", (ROOT / "README.md").read_text()))
-    assert published - readme == {"fig99_line.png", "fig99_line.pdf", "table_one.csv"}
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}
+    assert published - of_pages == {"fig99_line.png", "fig99_line.pdf", "table_one.csv"}
     page = (source / "figures.md").read_text()
     assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
     cell = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells[1]

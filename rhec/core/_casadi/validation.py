@@ -41,8 +41,11 @@ Flag = Annotated[bool, Field(strict=True)]
 Intervals = Annotated[Whole, Field(ge=2, le=240)]
 
 
-def _sentence_of(name, fields, error):
-    """One of a validation's errors: the parameter, its value, and what it may be."""
+def _sentence_of(name, fields, error, instead=None):
+    """One of a validation's errors: the parameter, its value, and what it may be.
+
+    `instead` says for names that are no parameters what to write.
+    """
     unknown = "unexpected_keyword_argument"
     # A misspelt name first, because it explains why another parameter is missing.
     errors = sorted(error.errors(), key=lambda each: each["type"] != unknown)
@@ -50,9 +53,9 @@ def _sentence_of(name, fields, error):
     kind = first["type"]
     place = first["loc"]
     if kind == unknown:
-        close = get_close_matches(place[0], fields, 1, 0.4)
-        suggestion = f"; did you mean {close[0]!r}?" if close else ""
-        return f"{name} has no parameter {place[0]!r}{suggestion}"
+        close = get_close_matches(place[0], fields, 1, 0.5)
+        suggestion = f"did you mean {close[0]!r}?" if close else f"help(rhec.{name}) lists them"
+        return f"{name} has no parameter {place[0]!r}; {(instead or {}).get(place[0], suggestion)}"
     if not place:  # a check across parameters, which has a sentence of its own
         return str(first["ctx"]["error"])
     parameter = fields[place[0]] if isinstance(place[0], int) else str(place[0])
@@ -196,7 +199,8 @@ def validated(cls: type[_T]) -> type[_T]:
         try:
             construct(self, **fields)
         except ValidationError as error:
-            raise ValueError(_sentence_of(cls.__name__, names, error)) from None
+            instead = getattr(cls, "INSTEAD", None)
+            raise ValueError(_sentence_of(cls.__name__, names, error, instead)) from None
 
     cls.__init__ = __init__
     cls.__signature__ = plain

@@ -1,12 +1,15 @@
 """A user's functions of (x, u, p), as CasADi expressions, or refused in a sentence."""
 
 import math
+import warnings
 
 import casadi as ca
 
 from rhec.core._casadi.validation import shown
 
-_ASKED = "Cannot compute the truth value"  # of an expression, says CasADi
+# What CasADi says of the truth value of an expression, and of an entry that there is not.
+_ASKED = "Cannot compute the truth value"
+_BEYOND = "out of bounds", "stop<=len"
 
 
 class _Column(ca.SX):
@@ -32,7 +35,10 @@ def expression_of(name, function, symbols, *sizes):
     names = ", ".join(arguments)
     expected = f"it should map CasADi expressions ({names}) to one expression or a list of them"
     try:
-        value = function(*map(_Column, symbols))
+        with warnings.catch_warnings():
+            # NumPy's functions of expressions are expressions; CasADi warns of those of numbers.
+            warnings.simplefilter("ignore", FutureWarning)
+            value = function(*map(_Column, symbols))
         if value is None:
             raise TypeError("it returned nothing")
         value = ca.SX(ca.vertcat(*value)) if isinstance(value, list | tuple) else ca.SX(value)
@@ -41,6 +47,10 @@ def expression_of(name, function, symbols, *sizes):
         if _ASKED in str(error):
             problem = "it asks whether an expression is true, as `if`, `and`, min and max do"
             expected = "it should use ca.if_else, ca.logic_and, ca.fmin or ca.fmax instead"
+        if any(words in str(error).lower() for words in _BEYOND):
+            problem = "it asks for an entry that there is not"
+            sizes = zip(arguments, symbols)
+            expected = f"it is given {', '.join(f'{s} of {of.numel()}' for s, of in sizes)} entries"
         raise ValueError(f"{name} was refused ({problem}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
