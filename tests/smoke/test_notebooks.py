@@ -108,7 +108,11 @@ def check(table):
     for frame in (full, ours):
         frame[keys] = frame[keys].fillna("")
     both = full.merge(ours, on=keys, suffixes=("_full", "_small"), how="inner")
-    assert len(both) >= 0.8 * len(ours)
+    new = ours[~ours[keys].apply(tuple, axis=1).isin(full[keys].apply(tuple, axis=1))]
+    assert len(both) >= 0.8 * len(ours), (
+        f"{committed.name} lacks rows such as {new[keys].head(3).to_dict('records')}; "
+        "make figures studies, and commit the table that make check-figures names"
+    )
     value = next((name for name in ("mean", "value", "median") if name in full), None)
     if value is None or "low" not in full:
         return
