@@ -3,28 +3,20 @@
 `make nightly` installs them (tests/engines.txt); what is missing is named by a skip.
 """
 
-import contextlib
 import importlib.util
 import json
 import os
-import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
-import engines
-import psutil
 import pytest
 
 import rhec
-from rhec.core._casadi import compiled
-from rhec.simulation.campaigns import store
 
 pytestmark = pytest.mark.nightly
 ROOT = Path(rhec.__file__).parents[1]
 DRIVES = 600
-DRIVES_WORTH_LANES = 130
 # That of the user, whose compilers optimise: with those that `conftest` sets later, so many drives
 # would take minutes.
 ENVIRONMENT = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests")
@@ -84,93 +76,6 @@ def test_mpi_computes_the_same_bits_and_continues_after_a_killed_rank(here, tmp_
     assert code and not said and list(tmp_path.glob("*/*.parquet"))
     said, code = started("mpi", DRIVES, "--folder", tmp_path)
     assert (code, said["failed"], said["digest"]) == (0, 0, here)
-
-
-def processes_with(name, value):
-    """The living processes in whose environment a variable has this value."""
-    found = []
-    for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error):
-            zombie = process.status() == psutil.STATUS_ZOMBIE
-            if process.environ().get(name) == value and not zombie:
-                found.append(process)
-    return found
-
-
-@pytest.mark.parametrize("engine", ["own", "dask", "mpi"])
-def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(engine, tmp_path):
-    """A terminal sends it to the workers, too."""
-    process = begun(
-        engine,
-        *(20_000, "--folder", tmp_path),
-        environment=dict(RHEC_TESTED=str(tmp_path)),
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    engines.wait(lambda: list(tmp_path.glob("*/*.parquet")) or process.poll() is not None)
-    os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=60)
-    assert process.returncode
-    engines.wait(lambda: not processes_with("RHEC_TESTED", str(tmp_path)), seconds=60)
-    kept = [len(rows) for (folder,) in [tmp_path.glob("*/")] for rows in store.load_rows(folder)]
-    assert 0 < sum(kept) < 20_000
-
-
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_a_machine_compiles_each_loop_once(tmp_path):
-    """Its workers wait for the one that compiles."""
-    for name in ("cc", "c++"):
-        log = f'#!/bin/sh\necho "$PWD" >> {tmp_path}/log\nexec "$(command -v {name})" "$@" -O0\n'
-        (tmp_path / name).write_text(log)
-        (tmp_path / name).chmod(0o700)
-    compilers = dict(CC=f"{tmp_path}/cc", CXX=f"{tmp_path}/c++", RHEC_CACHE=f"{tmp_path}/cache")
-    started("dask", DRIVES_WORTH_LANES, **compilers)
-    folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
-    libraries = [library for library, _ in folders]
-    assert libraries and len(libraries) == len({*libraries})
-
-
-LETHAL = """
-import dataclasses, os, signal, sys
-import engines, rhec
-from distributed import Client
-
-class Lethal(rhec.Path):
-    def poses(self, s):
-        if os.getpid() != HOME:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().poses(s)
-
-HOME = os.getpid()
-if __name__ == "__main__":
-    track = rhec.Path.racetrack(30.0, 7.8)
-    base = rhec.Scenario(estimator="ekf", duration_s=6.0)
-    good = [dataclasses.replace(base, seed=seed) for seed in range(20)]
-    path = Lethal(track.segments, track.length_m, True)
-    with engines.dask_cluster() as (address, _), Client(address) as client:
-        table = rhec.campaign(
-            [*good, dataclasses.replace(base, path=path)], workers=client.get_executor(pure=False)
-        )
-    # A whole number is a float in a column with a failed run, so the digests differ.
-    expected = rhec.campaign(good)["mean_error_m"]
-    assert [*table["mean_error_m"][:20]] == [*expected], table
-    print("errors:", *table["error"][table["error"] != ""])
-"""
-
-
-def test_a_run_that_kills_every_worker_of_dask_is_a_row_with_its_error(tmp_path):
-    need("dask")
-    (tmp_path / "lethal.py").write_text(LETHAL)
-    done = subprocess.run(
-        [sys.executable, "lethal.py"],
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=550,
-        cwd=tmp_path,
-    )
-    assert "errors: BrokenProcessPool: every worker that ran it died\n" in done.stdout, done.stderr
 
 
 STUDY = """
