@@ -74,9 +74,9 @@ def discrete_cart(x, u, p):
     return (ca.DM(A) @ ca.vertcat(x, p) + ca.DM(B) @ u)[:2]
 
 
-@pytest.mark.parametrize("discrete", [False, True])
-@pytest.mark.parametrize("horizon", [2, 15])
-@pytest.mark.parametrize("share", [0, 1])
+@pytest.mark.parametrize(
+    "horizon, share, discrete", [(2, 0, False), (15, 0, True), (2, 1, True), (15, 1, False)]
+)
 def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, share, discrete):
     """Without process noise (share 0) the window's length makes no difference; with it, what has
     left the window was filtered with W, the window without.
@@ -115,7 +115,7 @@ def test_on_a_linear_robot_one_feedback_is_the_optimum():
 # The nonlinear problems
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_iterated_to_convergence_the_rhe_is_the_optimum_that_ipopt_finds(robot):
     """On 60 random windows, half of them with gaps, some of which fill up; where parameters have
@@ -141,7 +141,7 @@ def test_iterated_to_convergence_the_rhe_is_the_optimum_that_ipopt_finds(robot):
         assert 15 <= bounded <= 57
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_iterated_to_convergence_the_rhc_is_the_optimum_that_ipopt_finds(robot):
     """On 40 random instances, at least a third of them with a command at its bound; the plan is a
@@ -182,7 +182,7 @@ def test_an_input_that_is_not_commanded_stays_at_its_reference(command):
 # One model, three forms
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_a_replayed_log_gives_the_estimates_of_the_live_objects(robot):
     """In each segment; rows between the samples are predicted to their own time."""
@@ -220,7 +220,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
 @pytest.mark.parametrize(
     "robot", [each for each in EVERY_ROBOT if np.isfinite(limits(each)).any()], ids=names
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_estimates_never_leave_their_bounds(robot, data):
     """Whatever is measured, and wherever the first guess was; and they stay numbers."""
@@ -237,7 +237,7 @@ def test_estimates_never_leave_their_bounds(robot, data):
             assert np.all(np.isfinite(part))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_commands_never_leave_their_bounds(data):
     """Not by one bit, whatever finite problem is given."""
@@ -252,7 +252,7 @@ def test_commands_never_leave_their_bounds(data):
         assert np.all((low <= u) & (u <= high))
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", EVERY_ROBOT, ids=names)
 def test_a_missing_input_is_bridged(robot):
     """The last one is held, and the estimate comes back once it is measured again."""

@@ -193,6 +193,7 @@ def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path,
     failing = start(tmp_path / "cache", CC=str(compiler), TMPDIR=str(elsewhere))
     line = said(failing, expected)
     assert str(compiler) in line and line.endswith(VIRTUAL_MACHINE)
+    assert ("error: no y.h" in line) == (how == "finds no header")
     assert not list(tmp_path.glob("cache/*")) and not list(elsewhere.glob("*/*"))
 
 

@@ -13,7 +13,7 @@ RULES = [
 ]
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("options, iterations", RULES)
 @pytest.mark.parametrize("seed, arrival_mean", [(0, "smoothed"), (0, "filtered"), (4, "filtered")])
 def test_the_inertia_of_stiff_masses_is_found(
