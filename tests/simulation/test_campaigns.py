@@ -399,6 +399,8 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         assert_equal_rows(rhec.campaign(scenarios, workers=number), here)
         for process in workers_of(psutil.Process()):
             process.kill()
+    # Ctrl-C is blocked for the workers alone, and only while they start.
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 @pytest.mark.nightly
