@@ -75,8 +75,8 @@ def model(robot):
 
 
 def estimator(robot, guess, **changes):
-    settings = dict(dt=DT, horizon=N, guess=tuple(guess)) | robot.estimator
-    return rhec.RHE(model=model(robot), **settings | dict(arrival_mean="filtered") | changes)
+    settings = dict(model=model(robot), dt=DT, horizon=N, guess=tuple(guess)) | robot.estimator
+    return rhec.RHE(**settings | dict(arrival_mean="filtered") | changes)
 
 
 def controller(robot, **changes):

@@ -1,6 +1,5 @@
-"""Random instances of the window's and the horizon's nonlinear problems, and their solutions by
-`notebooks.studies.ipopt`: first of the paper's robot, then of any robot in `robots`; a Kalman
-filter for the linear one.
+"""Random instances of the window's and the horizon's nonlinear problems of the robots in `robots`,
+and their solutions by `notebooks.studies.ipopt`; a Kalman filter for the linear one.
 
 The robots that the instances drive use nothing of `rhec`. The paper's θ is linear in time, so there
 one Runge-Kutta step is Simpson's rule.
@@ -17,9 +16,6 @@ from rhec import paper
 
 DT, N = 0.2, 15
 V = np.square(paper.SIGMA_V)
-POSE = ("x_m", "y_m", "theta_rad")
-READINGS = ("x_m", "y_m", "nu_mps", "omega_radps")
-TRACTION = {"mu": (0.0, 1.0), "kappa": (0.0, 1.0)}
 
 
 def flat(value):
@@ -54,137 +50,9 @@ def drive(first, omegas, dt=DT):
     return truth, np.column_stack([truth[:, :2], truth[:, 3], [0.0, *omegas]])
 
 
-def places(speed_model):
-    """Which of (x, y, θ, ν, μ, κ) the window's state holds."""
-    return [0, 1, 2, 3, 4, 5] if speed_model == "parameter" else [0, 1, 2, 4, 5]
-
-
-def crawl(x, u, p):
-    """ẋ of the paper's robot with the parameters ν, μ, κ."""
-    nu, mu, kappa = ca.vertsplit(p)
-    return ca.vertcat(mu * nu * ca.cos(x[2]), mu * nu * ca.sin(x[2]), kappa * u[-1])
-
-
-# By speed model.
-PAPER = {
-    "parameter": rhec.Model(
-        states=POSE,
-        inputs=("omega_radps",),
-        parameters={"nu_mps": None} | TRACTION,
-        outputs=READINGS,
-        f=crawl,
-    ),
-    "input": rhec.Model(
-        states=POSE,
-        inputs=("nu_mps", "omega_radps"),
-        parameters=TRACTION,
-        outputs=READINGS,
-        f=lambda x, u, p: crawl(x, u, ca.vertcat(u[0], p)),
-    ),
-}
-
-
 @functools.cache
 def window_problem(model, intervals, noisy=False):
     return WindowProblem(model, intervals, DT, noisy)
-
-
-def rhe_by_ipopt(z, m, P, speed_model):
-    """Optimum of the window z (n, 4), NaN where there is no reading, with the arrival cost (m, P):
-    s_0 and all inputs, interval by interval; newest (x, y, θ, ν, μ, κ).
-    """
-    problem = window_problem(PAPER[speed_model], len(z) - 1)
-    found = problem.solve(z, m, np.linalg.inv(P), np.sqrt(V))
-    assert found.solved
-    newest = [found.x[:, -1], found.u[:-1, -1], found.p]
-    return np.concatenate([found.x[:, 0], found.p, flat(found.u)]), np.concatenate(newest)
-
-
-def rhe_instance(rng, speed_model):
-    """A window of noisy readings (N+1, 4) and an arrival cost (m, P) from a prior that is off; the
-    traction is as often above 1 as below.
-    """
-    keep = places(speed_model)
-    first = np.array([*rng.normal(0, 1, 2), rng.uniform(-3, 3), 0.5, *rng.uniform(0.7, 1.3, 2)])
-    _, z = drive(first, rng.uniform(-0.3, 0.3, N))
-    z += rng.normal(size=z.shape) * np.sqrt(V)
-    scale = np.sqrt([1, 1, 0.05, 0.1, 0.02, 0.02])[keep]
-    mix = np.eye(len(keep)) + 0.3 * rng.normal(size=(len(keep), len(keep)))
-    P = scale[:, None] * (mix @ mix.T) * scale
-    m = first[keep] + rng.normal(size=len(keep)) * 0.05
-    return z, m, P
-
-
-def window_memory(z, m, P, speed_model):
-    """The RHE's memory before the newest reading of the full window z enters, linearised where the
-    arrival cost says.
-    """
-    inputs = [[0.0]] if speed_model == "parameter" else [[0.5], [0.0]]
-    z = z.T.copy()
-    z[:, -1] = np.nan
-    return dict(s=np.tile(m[:, None], (1, N + 1)), v=np.tile(inputs, (1, N)), z=z, age=N, m=m, P=P)
-
-
-def iterate(phases, memory, newest, settings, iterations):
-    """Linearise, feedback, expand, again and again: the last memory and feedback, and the KKT
-    tolerance of every iteration.
-    """
-    tolerances = []
-    for _ in range(iterations):
-        given = (
-            dict.fromkeys(("m_0", "P_0"), np.ones(flat(memory["m"]).size))
-            | dict(memory)
-            | settings
-            | newest
-        )
-        for name in ("linearise", "feedback", "expand"):
-            phase = phases[name]
-            result = phase(**{key: given[key] for key in phase.name_in()})
-            given |= result
-            if name == "feedback":
-                answer = result
-        tolerances.append(float(result["kkt"]))
-        memory = dict(memory) | {key: result[key] for key in memory if key != "z"}
-    return memory, answer, np.array(tolerances)
-
-
-def unknowns(memory):
-    """What `rhe_by_ipopt` finds, from the RHE's memory."""
-    return np.concatenate([np.array(memory["s"])[:, 0], flat(memory["v"])])
-
-
-def rhc_by_ipopt(problem, q, qn_factor, r, omega_max):
-    """The optimal yaw rates (N,) of the paper's eq. (NMPC)."""
-    bounds = {"omega_radps": (-omega_max, omega_max)}
-    options = dict(model=PAPER["parameter"], dt=DT, horizon=N, bounds=bounds)
-    options |= dict(q=q, qn_factor=qn_factor, r=(r,))
-    pose, p, xi_ref, omega_ref = (problem[name] for name in ("pose", "p", "xi_ref", "omega_ref"))
-    found = PlanProblem(options).solve(pose, xi_ref, p, omega_ref[None])
-    assert found.solved
-    return found.u[0]
-
-
-def rhc_instance(rng):
-    """A robot somewhere near a reference that bends."""
-    omegas = rng.normal(0, 0.05) + rng.normal(0, 0.02, N)
-    reference, _ = drive([0, 0, rng.normal(0, 0.3), 0.45, 1, 1], omegas)
-    pose = reference[0, :3] + rng.normal(size=3) * (0.3, 0.3, 0.3)
-    return dict(
-        pose=pose,
-        p=(0.5, *rng.uniform(0.5, 1, 2)),
-        xi_ref=reference[:, :3].T,
-        omega_ref=np.full(N, rng.normal(0, 0.03)),
-    )
-
-
-def rhc_weights(rng):
-    """Weights in which no two are alike."""
-    return dict(
-        q=tuple(rng.uniform(0.2, 3, 3)),
-        qn_factor=rng.uniform(0.5, 12),
-        r=rng.uniform(2, 12),
-        omega_max=rng.uniform(0.05, 0.15),
-    )
 
 
 # Any robot
@@ -361,7 +229,8 @@ def cart_matrices(dt=DT):
 
 def kalman_filter(z, guess, sigma_guess, sigma_v, sigma_w, leaving, dt=DT):
     """The cart's Kalman filter over z (n, 2) = (position, acceleration): mean (3,) and covariance
-    (3, 3) of (position, velocity, bias), and the newest input's mean.
+    (3, 3) of (position, velocity, bias), the newest input's mean, and -2 log likelihood of the
+    newest position, up to a constant.
 
     The measured input drives the prediction, and its noise passes through B. Process noise enters
     in the first `leaving` intervals only: those that have left the window. Its sigma_w is (3,), or
@@ -376,8 +245,10 @@ def kalman_filter(z, guess, sigma_guess, sigma_v, sigma_w, leaving, dt=DT):
             F, G = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]]), np.vstack([B, [[1.0]]])
             m = F @ m + G[:, 0] * acceleration
             P = F @ P @ F.T + G @ G.T * sigma_v[1] ** 2 + W
+        deviance = 0.0
         if not np.isnan(position):
             S = H @ P @ H.T + sigma_v[0] ** 2
             K = P @ H.T / S
+            deviance = (position - m[0]) ** 2 / S.item() + np.log(S.item())
             m, P = m + K[:, 0] * (position - m[0]), P - K @ H @ P
-    return m[:3], P[:3, :3], m[3]
+    return m[:3], P[:3, :3], m[3], deviance

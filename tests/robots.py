@@ -7,6 +7,10 @@ from collections.abc import Callable
 
 import casadi as ca
 
+from rhec import paper
+from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.tracked_robot.paper_rhe import SIGMA_START
+
 DT, N = 0.2, 15
 
 
@@ -220,10 +224,52 @@ SKID_WITH_GYRO = dataclasses.replace(
     sigma_v=(*SKID_STEERED.sigma_v, 0.05),
 )
 
+
+def _crawl(x, u, p):
+    nu, mu, kappa = ca.vertsplit(p)
+    return ca.vertcat(mu * nu * ca.cos(x[2]), mu * nu * ca.sin(x[2]), kappa * u[-1])
+
+
+def _crawl_with_speed(x, u, p):
+    return _crawl(x, u, ca.vertcat(u[0], p))
+
+
+# The paper's robot, eq. (2): one speed over the window, or one an interval.
+CRAWLER = Robot(
+    states=("x_m", "y_m", "theta_rad"),
+    inputs=("omega_radps",),
+    parameters={"nu_mps": None, "mu": (0.0, 1.0), "kappa": (0.0, 1.0)},
+    outputs=("x_m", "y_m", "nu_mps", "omega_radps"),
+    f=_crawl,
+    sigma_v=paper.SIGMA_V,
+    sigma_w=paper.SIGMA_W_RHE,
+    sigma_guess=tuple(SIGMA_START[name] for name in QUANTITIES),
+    x_range=((-1, -1, -3), (1, 1, 3)),
+    u_range=((-0.3,), (0.3,)),
+    p_range=((0.45, 0.7, 0.7), (0.55, 1.3, 1.3)),
+    q=(1.0, 1.0, 0.5),
+    r=(5.0,),
+    bounds={"omega_radps": (-0.1, 0.1)},
+)
+CRAWLER_BY_SPEED = dataclasses.replace(
+    CRAWLER,
+    inputs=("nu_mps", "omega_radps"),
+    parameters={"mu": (0.0, 1.0), "kappa": (0.0, 1.0)},
+    f=_crawl_with_speed,
+    sigma_w=(*paper.SIGMA_W_RHE[:3], *paper.SIGMA_W_RHE[4:]),
+    sigma_guess=(*CRAWLER.sigma_guess[:3], *CRAWLER.sigma_guess[4:]),
+    u_range=((0.45, -0.3), (0.55, 0.3)),
+    p_range=((0.7, 0.7), (1.3, 1.3)),
+    r=(1.0, 5.0),
+    bounds={"nu_mps": (0.2, 0.6), "omega_radps": (-0.1, 0.1)},
+)
+
 ROBOTS = {"cart": CART, "bicycle": BICYCLE, "skid_steered": SKID_STEERED}
 VARIANTS = {
     "with_track_width": WITH_TRACK_WIDTH,
     "unicycle": UNICYCLE,
     "with_gyro": WITH_GYRO,
     "skid_with_gyro": SKID_WITH_GYRO,
+    "crawler": CRAWLER,
+    "crawler_by_speed": CRAWLER_BY_SPEED,
 }

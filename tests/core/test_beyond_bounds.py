@@ -2,7 +2,6 @@
 
 import casadi as ca
 import numpy as np
-import published_problems
 import pytest
 from helpers import no_compiler
 
@@ -49,15 +48,12 @@ def test_beyond_a_hard_bound_it_brakes_at_once_and_says_so(speed):
     np.testing.assert_allclose(commands[beyond, 0], -np.sign(speed), atol=1e-6)
     np.testing.assert_array_equal(ok, ~beyond)
     assert np.all(np.abs(states[np.argmin(beyond) + 1 :, 1]) <= 0.5 + 1e-6)
-
-
-def test_it_says_which_bound_and_by_how_much():
-    mpc = mass(bounds=dict(v=(-0.5, 0.5)))
-    mpc.step((0.0, 1.5))
-    assert not mpc.ok and not mpc.converged and np.isfinite(mpc.kkt)
-    assert mpc.status == "the bounds of 'v' cannot be kept; the plan exceeds them by 0.9"
-    mpc.step((0.0, 0.0))
     assert mpc.ok and mpc.status == ""
+    mpc.restart()
+    mpc.step((0.0, speed))
+    assert not mpc.ok and not mpc.converged and np.isfinite(mpc.kkt)
+    by = f"{abs(speed) - 0.1 - 0.5:.1g}"  # after the one sample that no command can change
+    assert mpc.status == f"the bounds of 'v' cannot be kept; the plan exceeds them by {by}"
 
 
 def test_a_price_above_all_multipliers_gives_the_same_commands():
@@ -85,41 +81,6 @@ def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
     mpc = controller(model, q=(1.0, 1.0), r=(0.1, 0.1), dt=2.0, horizon=10, bounds=bounds)
     states, _, ok = drive(model, mpc, (0, 0), 12, 2.0, x_ref=(2.0, 0.5))
     assert np.all(ok) and states[-1, 0] == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("price", [None, 1e3])
-def test_a_reactor_at_its_lowest_level_is_ok(price):
-    """That of ModelPredictiveControl.jl: weights of outputs and changes, none of inputs."""
-    gains = [(1.9, 18.0, 0), (1.9, 18.0, 1), (-0.74, 8.0, 0), (0.74, 8.0, 1)]
-    model = rhec.Model(
-        states=tuple("abcd"),
-        inputs=("cold", "hot"),
-        f=lambda x, u, p: [(g * u[j] - x[i]) / T for i, (g, T, j) in enumerate(gains)],
-    )
-    outputs = dict(level=lambda x, u, p: x[0] + x[1], heat=lambda x, u, p: x[2] + x[3])
-    weights = dict(q=np.zeros((4, 4)), r=(0, 0), q_y=(1, 1), r_delta=(0.1, 0.1))
-    bounds = dict(level=rhec.Bound(-5, INF, linear=price))
-    mpc = controller(model, dt=2.0, horizon=10, outputs=outputs, bounds=bounds, **weights)
-    x, oks, levels = np.zeros(4), [], []
-    for k in range(40):
-        y_ref = (0, 5) if k < 10 else (-8, 5) if k < 25 else (-8, 0)
-        u = mpc.step(x, y_ref=y_ref)
-        x = model.simulate(x, [u], dt=2.0)[-1]
-        oks.append(mpc.ok)
-        levels.append(x[0] + x[1])
-    assert all(oks) and min(levels) >= -5 - 1e-6 and levels[-1] == pytest.approx(-5, abs=1e-6)
-
-
-@pytest.mark.nightly
-def test_a_price_far_above_the_multiplier_of_a_bound_that_is_almost_reached():
-    """do-mpc's reactor creeps up to 140 °C, whose price exceeds all that is left to gain by 1e9."""
-    problem = published_problems.cstr()
-    model = problem.options["model"]
-    mpc = controller(**problem.options)
-    goal = dict(x_ref=problem.goal)
-    states, _, ok = drive(model, mpc, problem.start, 50, problem.options["dt"], **goal)
-    assert np.all(ok) and 139.9 < states[-1, 2] <= 140
 
 
 # A bound that moves
@@ -162,20 +123,16 @@ def overtake(y_0, price, samples=60):
 
 
 @pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("y_0", [0.05, 0.0, 0.3, -0.2])
 @pytest.mark.parametrize("price", [None, 10.0, 1e4])
-@pytest.mark.parametrize("y_0", [0.05, 0.3, -0.2])
-def test_it_drives_around_a_slower_obstacle(y_0, price):
+def test_it_drives_around_a_slower_obstacle_or_behind_it(price, y_0):
+    """On its axis, where no side is nearer, it slows down."""
     clear, x, ok = overtake(y_0, price)
     assert np.all(ok) and clear.min() >= 0.99
-    assert abs(x[1]) > 2 and x[3] > 10
-
-
-@pytest.mark.parametrize("price", [None, 100.0])
-def test_on_its_axis_it_stays_behind_a_slower_obstacle(price):
-    """Where no side is nearer, it slows down."""
-    clear, x, ok = overtake(0.0, price)
-    assert np.all(ok) and clear.min() >= 0.99
-    assert x[0] < x[5] and x[3] < 7
+    if y_0:
+        assert abs(x[1]) > 2 and x[3] > 10
+    else:
+        assert x[0] < x[5] and x[3] < 7
 
 
 # The command before

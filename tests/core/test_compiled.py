@@ -193,37 +193,38 @@ def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path,
     failing = start(tmp_path / "cache", CC=str(compiler), TMPDIR=str(elsewhere))
     line = said(failing, expected)
     assert str(compiler) in line and line.endswith(VIRTUAL_MACHINE)
+    assert ("error: no y.h" in line) == (how == "finds no header")
     assert not list(tmp_path.glob("cache/*")) and not list(elsewhere.glob("*/*"))
 
 
-def mounted(options, cache, elsewhere=None):
-    """The build in a world of its own, where what is at `cache` is mounted with these options."""
+def mounted(options, cache, elsewhere, everywhere):
+    """The build in a world of its own, where the cache is mounted with these options, and with
+    `everywhere` the temporary folder, too.
+    """
     if os.geteuid() or subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
         pytest.skip("only root may mount, and not everywhere")
     cache.mkdir()
-    folders = f'"$0" {elsewhere or ""}'
+    folders = f'"$0" {elsewhere if everywhere else ""}'
     mount = f"for folder in {folders}; do mount -t tmpfs -o {options} none $folder; done"
     within = ("unshare", "-m", "sh", "-c", f'{mount}; exec "$@"', cache)
-    return start(cache, within=within, TMPDIR=str(elsewhere or cache.parent))
+    return start(cache, within=within, TMPDIR=str(elsewhere))
 
 
-@pytest.mark.nightly(keep=1)
+@pytest.mark.nightly(keep=2)
 @needs_compiler
+@pytest.mark.parametrize("everywhere", [False, True])
 @pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
-def test_a_cache_that_cannot_be_used_is_replaced_by_a_temporary_one(tmp_path, expected, options):
-    line = said(mounted(options, tmp_path / "cache"), expected)
-    assert line.startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since ")
-    assert len(list(tmp_path.glob("rhec-*/*/library.so"))) == 1
-
-
-@pytest.mark.nightly(keep=1)
-@needs_compiler
-@pytest.mark.parametrize("options", ["ro", "noexec", "size=20k"])
-def test_without_any_folder_for_code_there_is_the_virtual_machine(tmp_path, expected, options):
-    (tmp_path / "elsewhere").mkdir()
-    line = said(mounted(options, tmp_path / "cache", tmp_path / "elsewhere"), expected)
-    assert line.startswith("rhec: nothing more is compiled, since ")
-    assert line.endswith(VIRTUAL_MACHINE)
+def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, expected, options, everywhere):
+    """By a temporary one, and without any folder for code by the virtual machine."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    line = said(mounted(options, tmp_path / "cache", elsewhere, everywhere), expected)
+    if everywhere:
+        assert line.startswith("rhec: nothing more is compiled, since ")
+        assert line.endswith(VIRTUAL_MACHINE)
+    else:
+        assert line.startswith(f"{OTHER_CACHE}{elsewhere}/rhec-{os.geteuid()}, since ")
+        assert len(list(elsewhere.glob("rhec-*/*/library.so"))) == 1
 
 
 @pytest.mark.nightly(keep=1)
@@ -236,41 +237,62 @@ def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expecte
     assert said(process, expected).startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, ")
 
 
+def test_without_a_compiler_results_agree_and_one_line_says_so_unless_none_was_wanted(
+    tmp_path, expected
+):
+    line = said(start(tmp_path, PATH="/nowhere", CC="cc"), expected)
+    assert "no C compiler found" in line
+    assert start(tmp_path, CC="").communicate(timeout=120) == (expected, "")
+    assert list(tmp_path.iterdir()) == []
+
+
 def build_increment():
     x = ca.SX.sym("x")
     return dict(increment=ca.Function("increment", [x], [x + 1]))
 
 
-def cut(file, share):
-    """The first bytes alone, in a new file: the old one is in use."""
-    content = file.read_bytes()
-    file.unlink()
-    file.write_bytes(content[: int(share * len(content))])
+def build_text(text):
+    """What fills a folder with a text, in place of code."""
+    return lambda folder: (folder / "library").write_text(text)
+
+
+def load_text(folder):
+    text = (folder / "library").read_text()
+    if text == "nonsense":
+        raise RuntimeError("it does not load")
+    return text
 
 
 BROKEN = {
-    "half a library": lambda folder: cut(folder / "library.so", 0.5),
-    "an empty library": lambda folder: cut(folder / "library.so", 0),
-    "no library": lambda folder: (folder / "library.so").unlink(),
-    "no list": lambda folder: (folder / "functions.json").unlink(),
-    "an empty list": lambda folder: cut(folder / "functions.json", 0),
+    "half a library": lambda folder: (folder / "library").write_text("ne"),
+    "no library": lambda folder: (folder / "library").unlink(),
+    "no list": lambda folder: (folder / "content.json").unlink(),
+    "an empty list": lambda folder: (folder / "content.json").write_text(""),
+    "one file more": lambda folder: (folder / "more").touch(),
     "an empty folder": lambda folder: [file.unlink() for file in folder.iterdir()],
 }
 
 
-@needs_compiler
-@pytest.mark.parametrize("how", BROKEN)
-def test_what_is_broken_in_the_cache_is_built_anew(tmp_path, monkeypatch, capsys, how):
-    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
-    # In a notebook it is said what compiles, and another test may have imported its kernel.
-    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
-    load = compiled.load.__wrapped__
-    load(build_increment)
-    (folder,) = tmp_path.iterdir()
+def test_what_is_broken_in_the_cache_or_does_not_load_is_built_anew(tmp_path, monkeypatch):
+    """A compiler may write nonsense and end with 0; once it is mended, all is built."""
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "other"))
+    folder = tmp_path / "cache/name"
+    with pytest.raises(cache.UnusableError):
+        cache.load_or_build("name", build_text("nonsense"), load_text)
+    assert not cache.contains("name")
+    assert cache.load_or_build("name", build_text("new"), load_text) == "new"
+    assert cache.load_or_build("name", build_text("never"), load_text) == "new"
     whole = sorted(folder.iterdir())
-    BROKEN[how](folder)
-    assert load(build_increment)["increment"](1) == 2
-    assert sorted(folder.iterdir()) == whole and capsys.readouterr() == ("", "")
+    for number, spoil in enumerate(BROKEN.values()):
+        assert cache.contains("name")
+        spoil(folder)
+        assert not cache.contains("name")
+        text = f"new {number}"
+        assert cache.load_or_build("name", build_text(text), load_text) == text
+        assert sorted(folder.iterdir()) == whole
+    assert [path.name for path in folder.parent.iterdir()] == ["name"]
+    assert not list((tmp_path / "other").glob("*/name"))
 
 
 DAQP = "from condensed_rhc import rhc_by; rhc_by('daqp', horizon=2).prepare()"
@@ -364,19 +386,6 @@ def test_a_compilation_is_announced_once_to_whoever_waits(tmp_path, monkeypatch,
     assert capsys.readouterr() == ANNOUNCED[where]
 
 
-@needs_compiler
-def test_without_a_compiler_results_agree_and_one_line_says_so(tmp_path, expected):
-    line = said(start(tmp_path, PATH="/nowhere", CC="cc"), expected)
-    assert "no C compiler found" in line and list(tmp_path.iterdir()) == []
-
-
-@needs_compiler
-def test_an_empty_cc_asks_for_no_compiler_and_nothing_is_said(tmp_path, expected):
-    process = start(tmp_path, CC="")
-    assert process.communicate(timeout=120) == (expected, "")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_buffered_function_computes_what_the_function_does():
     matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
     results = [matrix @ vector, ca.sumsqr(vector)]
@@ -409,24 +418,3 @@ def test_a_function_that_is_called_often_is_not_inlined():
     _, text = compiled.library_text(dict(often=called("often", 9), rare=called("rare", 2)))
     marked = re.findall(r"/\* (\w+):.*\nstatic __attribute__\(\(noinline\)\) int", text)
     assert marked == ["often_inner"]
-
-
-def test_what_does_not_load_is_removed(tmp_path, monkeypatch):
-    """A compiler may write nonsense and end with 0; once it is mended, all is built anew."""
-    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "other"))
-
-    def build_with(text):
-        return lambda folder: (folder / "library").write_text(text)
-
-    def load(folder):
-        text = (folder / "library").read_text()
-        if text == "nonsense":
-            raise RuntimeError("it does not load")
-        return text
-
-    with pytest.raises(cache.UnusableError):
-        cache.load_or_build("name", build_with("nonsense"), load)
-    assert cache.load_or_build("name", build_with("good"), load) == "good"
-    assert (tmp_path / "cache/name").is_dir()
-    assert not (tmp_path / "other").exists() or not list((tmp_path / "other").glob("*/name"))

@@ -85,14 +85,13 @@ def test_while_the_yaw_rate_is_silent_the_last_one_holds():
         np.testing.assert_array_equal(one[0], other[0])
 
 
-@pytest.mark.parametrize("reading", [np.inf, -np.inf, 1e12])
 @pytest.mark.parametrize("channel", range(3))
-def test_a_reading_that_cannot_be_is_a_missing_one(channel, reading):
+def test_a_reading_that_cannot_be_is_a_missing_one(channel):
     _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
     start = init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
     z[[0, 5, 6], channel] = np.nan
     silent = run(z, start)
-    z[[0, 5, 6], channel] = reading
+    z[[0, 5, 6], channel] = np.inf, -np.inf, 1e12
     for one, other in zip(silent, run(z, start)):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
@@ -124,21 +123,6 @@ def rival(name, z, guess, sigma=(1.0,) * 6, traction=None):
         memory = result["memory"]
         rows.append((flat(result["estimate"]), np.array(result["covariance"])))
     return [np.array(each) for each in zip(*rows)]
-
-
-def test_in_a_curve_a_runge_kutta_step_is_where_the_robot_is_and_the_papers_euler_step_is_not():
-    first = (0, 0, 0, 0.5, 0.9, 0.8)
-    truth, z = drive(first, np.full(60, 0.5))
-    exact = dict(guess=first, sigma=(1e-3,) * 6)
-    for name, told in (("traction_oracle", (0.9, 0.8)), ("augmented_ekf", None)):
-        estimates, _ = rival(name, z, traction=told, **exact)
-        np.testing.assert_allclose(estimates, truth, atol=1e-5)
-    first = (0, 0, 0, 0.5, 1, 1)
-    truth, z = drive(first, np.full(60, 0.5))
-    paper, _ = rival("ekf", z, guess=first, sigma=(1e-3,) * 6)
-    turn_rad = 0.5 * DT
-    late = (paper[:, 2] - truth[:, 2])[30:]
-    np.testing.assert_allclose(late, turn_rad / 2, atol=0.1 * turn_rad)
 
 
 def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():

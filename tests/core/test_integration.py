@@ -1,5 +1,8 @@
 """Substeps, implicit rules for stiff models, discrete models, and what is refused."""
 
+import functools
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -89,28 +92,6 @@ def test_a_discrete_model_steps_as_its_f_says_and_rests_in_an_interval_of_no_len
     assert flat(step([3.0, 0.5], [1.0], 0.0)).tolist() == [3.0, 0.5]
 
 
-def test_an_estimator_of_a_discrete_model_is_the_kalman_filter(virtual_machine):
-    """Linear and unbounded, with the filtered arrival mean: equal to a filter written apart."""
-    names = dict(states=("a", "b"), inputs=("w",), parameters={}, outputs=("a", "w"))
-    A, B, H = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
-    model = rhec.Model(**names, f=lambda x, u, p: ca.DM(A) @ x + ca.DM(B) * u, discrete=True)
-    noise = dict(
-        sigma_v=(0.1, 0.05), sigma_w=(0.02, 0.03), guess=(0.0, 0.0), sigma_guess=(1.0, 2.0)
-    )
-    rhe = rhec.RHE(model=model, dt=1.0, horizon=4, arrival_mean="filtered", **noise)
-    rng = np.random.default_rng(0)
-    m, P = np.zeros(2), np.diag([1.0, 4.0])
-    for k in range(4):
-        z = rng.normal(size=2) * 0.3
-        rhe.prepare()
-        estimate = rhe.feedback(z)
-        if k:  # without process noise inside the window, all of which is still filling
-            m, P = A @ m + B * z[1], A @ P @ A.T + np.outer(B, B) * 0.05**2
-        gain = P @ H / (H @ P @ H + 0.01)
-        m, P = m + gain * (z[0] - H @ m), P - np.outer(gain, H @ P)
-        np.testing.assert_allclose(estimate.x, m, rtol=1e-9)
-
-
 def test_f_may_be_a_list_a_column_or_unpacked():
     names = dict(states=("a", "b"), inputs=("w",), parameters={"k": None}, outputs=("a",))
 
@@ -134,52 +115,69 @@ def test_f_may_be_a_list_a_column_or_unpacked():
 
 def motor(**options):
     """A motor that follows its set point within 10 ms."""
-    names = dict(states=("angle",), inputs=("set",), parameters={}, outputs=("angle", "set"))
+    names = dict(states="angle", inputs="set", parameters={}, outputs=("angle", "set"))
     return rhec.Model(**names, f=lambda x, u, p: 100 * (u - x), **options)
 
 
+def motor_of(k, **options):
+    """A motor that follows its set point within 1/k s, with the bounds of k."""
+    names = dict(states="x", inputs="u", outputs=("x", "u"), parameters=dict(k=k))
+    return rhec.Model(**names, f=lambda x, u, p: p[0] * (u - x), **options)
+
+
 NOISE = dict(sigma_v=(0.1, 0.1), sigma_w=(0.1,), guess=(0.0,), sigma_guess=(1.0,))
+NOISE_OF_K = dict(sigma_v=(0.1, 0.1), sigma_w=(0, 0), guess=(0, 1))
+TENTH = dict(dt=0.1, horizon=5)
 
 
-def test_what_the_rule_amplifies_is_refused_and_the_sentence_helps(virtual_machine):
-    """R(-10) = 291; four substeps, as the sentence proposes, and the implicit rule are taken."""
-    proposed = r"multiplies an error of the state by 291 .* steps=4 or .* rule='radau3'"
-    with pytest.raises(ValueError, match=proposed):
-        rhec.RHE(model=motor(), dt=0.1, horizon=5, **NOISE)
-    with pytest.raises(ValueError, match=proposed):
-        rhec.EKF(model=motor(), dt=0.1, **NOISE)
-    for accepted in (motor(steps=4), motor(rule="radau3")):
-        rhec.RHE(model=accepted, dt=0.1, horizon=5, **NOISE)
-    rhec.RHE(model=motor(), dt=0.02, horizon=5, **NOISE)
+def mhe_of_k(model, sigma=30):
+    return rhec.RHE(model=model, sigma_guess=(1, sigma), **NOISE_OF_K, **TENTH)
 
 
-@pytest.mark.parametrize("bounds", [(0.1, 200.0), (-np.inf, 200.0)])
-def test_what_the_rule_amplifies_within_the_bounds_of_a_parameter_is_refused(
-    virtual_machine, bounds
+def first_command(model):
+    """The first sample of a controller; without an input it knows no better parameters."""
+    p = np.ones(len(model.parameters))
+    return rhec.RHC(model=model, q=[1], r=[1], **TENTH).step([0.0], p)
+
+
+# What a rule amplifies: (how it is told, what asks for it, a model that does it, and what the
+# sentence proposes)
+BY_291 = "multiplies an error of the state by 291 ", ("steps", 4)
+BY_5510 = "by 5.51e+03 at k = 200, its bound, ", ("steps", 8)
+AMPLIFIED = [
+    (*BY_291, motor, lambda model: rhec.RHE(model=model, **NOISE, **TENTH)),
+    (*BY_291, motor, lambda model: rhec.EKF(model=model, **NOISE, dt=0.1)),
+    (*BY_291, motor, first_command),
+    (*BY_5510, functools.partial(motor_of, (0.1, 200.0)), mhe_of_k),
+    (*BY_5510, functools.partial(motor_of, (-np.inf, 200.0)), mhe_of_k),
+    (*BY_5510, functools.partial(motor_of, (0.1, 200.0)), first_command),
+    # A parameter without bounds may well be two standard deviations away from its first guess.
+    ("by 304 at k = 101, ", ("steps", 4), functools.partial(motor_of, None),
+     lambda model: mhe_of_k(model, 50)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("said, proposed, make, use", AMPLIFIED)
+def test_what_the_rule_amplifies_is_refused_and_the_sentence_helps(
+    virtual_machine, said, proposed, make, use
 ):
-    """There the estimate would stay where the rule is stable, far from the truth."""
-    names = dict(states="x", inputs="u", outputs=("x", "u"), f=lambda x, u, p: p[0] * (u - x))
-    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0, 0), guess=(0, 1), sigma_guess=(1, 30), dt=0.1)
-    proposed = r"by 5.51e\+03 at k = 200, its bound, .* steps=8 or .* rule='radau3'"
-    narrow = rhec.Model(**names, parameters=dict(k=(0.1, 25.0)))
-    wide = dict(names, parameters=dict(k=bounds))
-    rhec.RHE(model=narrow, horizon=5, **noise)
-    with pytest.raises(ValueError, match=proposed):
-        rhec.RHE(model=rhec.Model(**wide), horizon=5, **noise)
-    with pytest.raises(ValueError, match=proposed):
-        rhec.RHC(model=rhec.Model(**wide), q=[1], r=[1], dt=0.1, horizon=5).step([0.0], [1.0])
-    for accepted in (dict(steps=8), dict(rule="radau3")):
-        rhec.RHE(model=rhec.Model(**wide, **accepted), horizon=5, **noise)
+    """R(-10) = 291; the substeps that the sentence proposes, and the implicit rule are taken."""
+    name, steps = proposed
+    with pytest.raises(ValueError, match=re.escape(said) + rf".*{name}={steps} or .*'radau3'"):
+        use(make())
+    for accepted in (dict(steps=steps), dict(rule="radau3")):
+        use(make(**accepted))
 
 
-def test_what_the_rule_amplifies_at_a_likely_guess_is_refused(virtual_machine):
-    """A parameter without bounds may well be two standard deviations away from its first guess."""
-    names = dict(states="x", inputs="u", outputs=("x", "u"), f=lambda x, u, p: p[0] * (u - x))
-    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0, 0), guess=(0, 1), dt=0.1, horizon=5)
-    model = rhec.Model(**names, parameters=dict(k=None))
-    rhec.RHE(model=model, sigma_guess=(1, 10), **noise)
-    with pytest.raises(ValueError, match=r"by 304 at k = 101, .* steps=4 or .* rule='radau3'"):
-        rhec.RHE(model=model, sigma_guess=(1, 50), **noise)
+def test_what_no_rule_amplifies_is_taken(virtual_machine):
+    """Shorter intervals, likely and narrow parameters; and a pendulum that stands, which falls."""
+    rhec.RHE(model=motor(), dt=0.02, horizon=5, **NOISE)
+    mhe_of_k(motor_of((0.1, 25.0)))
+    mhe_of_k(motor_of(None), 10)
+    names = dict(states=("angle", "rate"), inputs=("torque",), parameters={}, outputs=("angle",))
+    model = rhec.Model(**names, f=lambda x, u, p: [x[1], 40 * ca.sin(x[0]) + u[0]])
+    noise = dict(sigma_v=(0.1,), sigma_w=(0.1, 0.1), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
+    rhec.RHE(model=model, dt=0.3, horizon=5, **noise)
 
 
 def bioreactor(**options):
@@ -237,21 +235,6 @@ def test_an_estimate_at_which_the_rule_grows_is_not_ok_and_nothing_is_lost(seed)
     assert off[20:][ok[20:]].max() < 1
 
 
-def test_a_controller_refuses_at_its_first_sample(virtual_machine):
-    rhc = rhec.RHC(model=motor(), command=("set",), q=(1.0,), r=(1.0,), dt=0.1, horizon=4)
-    problem = dict(x=[0.0], p=[], x_ref=np.zeros((1, 5)), u_ref=np.zeros((1, 4)))
-    with pytest.raises(ValueError, match="multiplies an error of the state by 291"):
-        rhc.feedback(**problem)
-
-
-def test_an_unstable_model_is_not_refused(virtual_machine):
-    """A pendulum that stands falls: it grows, and so does the rule; nothing is wrong with that."""
-    names = dict(states=("angle", "rate"), inputs=("torque",), parameters={}, outputs=("angle",))
-    model = rhec.Model(**names, f=lambda x, u, p: [x[1], 40 * ca.sin(x[0]) + u[0]])
-    noise = dict(sigma_v=(0.1,), sigma_w=(0.1, 0.1), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
-    rhec.RHE(model=model, dt=0.3, horizon=5, **noise)
-
-
 def test_a_column_of_casadi_is_a_measurement(virtual_machine):
     estimates = []
     for z in ([0.3, 0.5], np.array([[0.3], [0.5]]), ca.DM([0.3, 0.5])):
@@ -272,31 +255,3 @@ def test_a_simulation_is_that_of_the_rule():
         name = next(iter(wrong))
         with pytest.raises(ValueError, match=f"^{name} had shape"):
             model.simulate(**(dict(x=X_0, u=np.zeros((3, 1)), p=[MU]) | wrong), dt=0.1)
-
-
-def two_states(**options):
-    """A constant and its integral."""
-    names = dict(states=("rate", "sum"), inputs=("w",), parameters={}, outputs=("sum", "w"))
-    return rhec.Model(**names, f=lambda x, u, p: [u[0], x[0]], **options)
-
-
-def test_an_estimated_state_stays_within_its_bounds(virtual_machine):
-    """At all nodes of the window, where those without bounds leave them."""
-    noise = dict(sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.0), guess=(0.0, 0.0), sigma_guess=(1.0, 1.0))
-    free, bounded = (
-        rhec.RHE(model=model, dt=0.5, horizon=8, **noise)
-        for model in (two_states(), two_states(state_bounds={"rate": (-0.2, 0.5)}))
-    )
-    active = 0
-    for k in range(8):
-        z = [0.9 * 0.5 * k, 0.0]
-        free.prepare(), bounded.prepare()
-        expected, estimate = free.feedback(z), bounded.feedback(z)
-        np.testing.assert_array_equal(bounded.x_window[:, -1], estimate.x)
-        assert bounded.x_window[0].max() <= 0.5 and bounded.x_window[0].min() >= -0.2
-        if free.x_window[0].max() > 0.5:
-            active += 1
-        elif not active:
-            np.testing.assert_allclose(estimate.x, expected.x, rtol=0, atol=1e-9)
-    assert active > 3
-    assert estimate.x[0] == pytest.approx(0.5)

@@ -2,32 +2,25 @@
 makes it fail; its report.
 """
 
-import ctypes
 import dataclasses
 import functools
 import json
-import re
 import shutil
 import subprocess
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import no_compiler, own_controller
+from helpers import no_compiler
 from in_c import InC
 from loops import live_step
-from oracles import mhe_instance
-from robots import DT, ROBOTS
 
 import rhec
-from notebooks.rivals import RIVALS
 from notebooks.studies import toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience
 from rhec.embedded import exported_functions
-from rhec.simulation import closed_loop
 from rhec.simulation.columns import MEASUREMENTS
 
 # The paper's loop, but for its horizons, which only compile longer.
@@ -38,7 +31,6 @@ RESTARTED = toolchain.STATUS["estimator_restarted"] + toolchain.STATUS["controll
 # Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-needs_valgrind = pytest.mark.skipif(not shutil.which("valgrind"), reason="there is no valgrind")
 SCENARIOS = {
     "paper": dict(),
     "long": dict(estimation_horizon=paper.HORIZON, prediction_horizon=paper.HORIZON),
@@ -50,7 +42,6 @@ SCENARIOS = {
         ),
     ),
     "EKF": dict(estimator="ekf", process_noise="prediction"),
-    "fixed traction": dict(estimator=RIVALS["fixed_traction"], mu_mean=0.7, kappa_mean=0.6),
 }
 
 
@@ -100,15 +91,6 @@ def log_of(export):
 
 
 # Its answers equal Python's
-
-
-@pytest.mark.nightly
-def test_an_ekf_with_fixed_traction_is_given_the_fields_mean(exported):
-    scenario = dataclasses.replace(PAPER, **SCENARIOS["fixed traction"])
-    mean = closed_loop.set_up(scenario).terrain.mean
-    assert np.max(mean) < 0.8
-    source = (exported("fixed traction") / "rhec_scenario.c").read_text()
-    assert f".mean_traction = {{{float(mean[0])!r}, {float(mean[1])!r}}}" in source
 
 
 def spoilt(measured):
@@ -278,53 +260,6 @@ def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     assert finished.returncode == 0 and not finished.stderr
 
 
-FLAGS_OF_BRANCHES = """
-#include <math.h>
-#include <stdio.h>
-#include "rhec.c"
-int main(void)
-{
-    const double flags[] = {0, 1, -1, 0.5, 2, 1.8e44, -9e191, 3e9, INFINITY, -INFINITY, NAN};
-    for (int i = 0; i < 11; i++) {
-        printf("%d", casadi_to_int(flags[i]) ? 1 : 0);
-    }
-    return 0;
-}
-"""
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_flags_of_any_number_are_defined(exported, tmp_path):
-    """By a cast to int, a flag above 2^31 would be undefined in C."""
-    source = tmp_path / "flags.c"
-    source.write_text(FLAGS_OF_BRANCHES)
-    folder = exported("faults")
-    compiler = shutil.which("clang") or compiled.compiler()
-    command = [compiler, "-std=c99", "-O0", f"-I{folder}", source, f"{folder}/rhec_scenario.c"]
-    sanitizer = ["-fsanitize=float-cast-overflow", "-fno-sanitize-recover=all"]
-    program = tmp_path / "flags"
-    built = subprocess.run([*command, *sanitizer, "-o", program, "-lm"], capture_output=True)
-    if built.returncode:
-        subprocess.run([*command, "-o", program, "-lm"], check=True)
-    finished = subprocess.run([program], capture_output=True, text=True)
-    assert (finished.returncode, finished.stderr) == (0, "")
-    assert finished.stdout == "01101111111"
-
-
-@pytest.mark.nightly
-@needs_compiler
-@needs_valgrind
-def test_valgrind_finds_nothing(exported, built):
-    machine, objects = built("faults")
-    valgrind = ["valgrind", "--error-exitcode=9", "--leak-check=full"]
-    for name, argument in (("replay", exported("faults") / "log.csv"), ("fuzz", "100")):
-        program = toolchain.program(machine, exported("faults"), name, objects)
-        command = [*valgrind, program, str(argument)]
-        finished = subprocess.run(command, capture_output=True, text=True)
-        assert finished.returncode == 0 and "0 errors from 0 contexts" in finished.stderr
-
-
 @pytest.mark.nightly
 @needs_compiler
 def test_answers_are_bounded_while_fuzzing(exported, built):
@@ -382,12 +317,10 @@ def files_of(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_export_is_reproducible(exported, tmp_path):
-    assert files_of(rhec.export(PAPER, tmp_path / "again")) == files_of(exported("paper"))
-
-
-def test_scenario_json_holds_every_field(exported):
-    fields = json.loads((exported("paper") / "scenario.json").read_text())
+def test_export_is_reproducible_and_tells_of_every_field(exported, tmp_path):
+    again = files_of(rhec.export(PAPER, tmp_path / "again"))
+    assert again == files_of(exported("paper"))
+    fields = json.loads(again["scenario.json"])
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
     assert rhec.Scenario(**values) == PAPER
     assert {*fields} == {field.name for field in dataclasses.fields(rhec.Scenario)}
@@ -405,234 +338,3 @@ def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
     assert (mine / "rhec.h").read_bytes() == (exported("paper") / "rhec.h").read_bytes()
     assert '"ekf"' in (mine / "scenario.json").read_text()
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-
-
-def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
-    thesis = tmp_path / "thesis.tex"
-    thesis.write_text("mine")
-    may_be = "it should be a new or empty folder or an earlier export"
-    reasons = {tmp_path: f".*which contains other files; {may_be}$"}
-    reasons |= {thesis: f".*which is a file; {may_be}$"}
-    reasons |= dict.fromkeys((None, 3, (1,)), ".*; it should be a path$")
-    for folder, reason in reasons.items():
-        with pytest.raises(ValueError, match=f"^folder was {reason}"):
-            rhec.export(PAPER, folder)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def solving_estimator():
-    """An estimator that solves a QP with a library."""
-    memory, z = ca.MX.sym("memory", 6), ca.MX.sym("z", 4)
-    x = ca.conic("qp", "daqp", {"h": ca.Sparsity.dense(2, 2)})(h=ca.DM.eye(2), g=-z[:2])["x"]
-    return ca.Function("mine", [memory, z], [ca.vertcat(x, memory[2:])] * 2)
-
-
-@pytest.mark.parametrize(
-    "scenario, message",
-    [
-        ("printed", "^scenario was 'printed'; it should be a rhec.Scenario$"),
-        (
-            rhec.Scenario(estimator="oracle"),
-            "^estimator was 'oracle', which needs the truth; to export, it should be one of "
-            "'rhe', 'ekf', 'bounded_ekf' or a CasADi Function$",
-        ),
-        (
-            rhec.Scenario(estimator=RIVALS["traction_oracle"]),
-            "^estimator was Estimator.'traction_oracle_step', .*, which needs the true traction",
-        ),
-        (
-            rhec.Scenario(estimator=solving_estimator()),
-            "^estimator was .*mine.*, which calls 'qp' .Daqp.*; to export, it should consist of "
-            "expressions$",
-        ),
-        (
-            rhec.Scenario(controller=own_controller(rhec.Scenario())),
-            "^controller was Controller.'steer', memory of 1.; to export, it should be 'rhc'$",
-        ),
-    ],
-)
-def test_a_scenario_that_cannot_be_exported_is_refused_in_one_sentence(scenario, message, tmp_path):
-    with pytest.raises(ValueError, match=message):
-        rhec.export(scenario, tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-# Of any robot
-
-
-def made_for(robot):
-    """An RHE and an RHC of a robot, which is not where the RHE believes it to be."""
-    rng = np.random.default_rng(3)
-    x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
-    model = rhec.Model(**robot.model)
-    mhe = rhec.RHE(model=model, dt=DT, horizon=6, guess=(*x, *p), **robot.estimator)
-    return mhe, rhec.RHC(model=model, dt=DT, horizon=8, **robot.controller)
-
-
-def inputs_of(robot, samples, seed=4):
-    """A log of measurements, a fifth of them missing, and references that keep bounds active."""
-    rng = np.random.default_rng(seed)
-    _, z = mhe_instance(robot, rng, samples - 1, missing=0.2)
-    references = []
-    for _ in range(samples):
-        u_ref = rng.uniform(*robot.u_range, (8, len(robot.inputs))).T
-        references.append((rng.uniform(*robot.x_range, (9, len(robot.states))).T, u_ref))
-    return z, references
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_a_models_estimator_or_controller_can_be_exported_alone(tmp_path):
-    with no_compiler():
-        both = made_for(ROBOTS["bicycle"])
-        folders = [rhec.export(part, tmp_path / type(part).__name__) for part in both]
-    (mhe, mpc), (z, references) = both, inputs_of(ROBOTS["bicycle"], 20)
-    for folder, absent in zip(folders, ("rhec_control", "rhec_estimate")):
-        in_c = InC(folder)
-        assert not hasattr(in_c.library, absent)
-        for row, (x_ref, u_ref) in zip(z, references):
-            mhe.prepare()
-            estimate = mhe.feedback(row)
-            if absent == "rhec_control":
-                answer, _ = in_c.call("estimate", row, length=7)
-                expected = np.concatenate(estimate[:3])
-            else:
-                mpc.prepare()
-                expected = mpc.feedback(x=estimate.x, p=estimate.p, x_ref=x_ref, u_ref=u_ref)
-                answer, _ = in_c.call("control", estimate.x, estimate.p, x_ref, u_ref, length=2)
-            np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
-        with no_compiler():
-            mhe, _ = made_for(ROBOTS["bicycle"])
-
-
-@pytest.mark.nightly(keep=1)
-@needs_compiler
-@pytest.mark.parametrize("bounds", [None, {"x_m": (-50.0, 0.1)}], ids=["free", "bounded"])
-def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
-    """Within the window, through a copy of the settings that the caller changes."""
-    robot = ROBOTS["bicycle"]
-    rng = np.random.default_rng(5)
-    guess, z = mhe_instance(robot, rng, 29, missing=0.2)
-    guess[0] = min(guess[0], 0.1)
-    settings = dict(dt=DT, horizon=4, guess=tuple(guess), noise_in_window=True) | robot.estimator
-    with no_compiler():
-        mhe = rhec.RHE(model=rhec.Model(**robot.model, state_bounds=bounds), **settings)
-        folder = rhec.export(mhe, tmp_path / "rhec")
-    in_c = InC(folder)
-    struct = (folder / "rhec_memory.h").read_text().split("struct rhec_settings {")[1].split("}")[0]
-    lengths = dict(re.findall(r"double (\w+)\[(\d+)\]", struct))
-    begin = sum(int(n) for n in [*lengths.values()][: [*lengths].index("W")])
-    size = sum(map(int, lengths.values()))
-    copied = (ctypes.c_double * size).in_dll(in_c.library, "rhec_scenario")
-    changed = (ctypes.c_double * size)(*copied)
-    first = (ctypes.c_double * len(guess)).in_dll(in_c.library, "rhec_scenario_guess")
-    in_c.library.rhec_init(in_c.memory, changed, first)
-    for row in z:
-        sigma_w = np.array(robot.sigma_w) * rng.uniform(0, 5, len(guess))
-        changed[begin : begin + len(guess)] = np.square(sigma_w)
-        mhe.prepare()
-        live = np.concatenate(mhe.feedback(row, sigma_w=sigma_w)[:3])
-        answer, _ = in_c.call("estimate", row, length=len(mhe.model.names))
-        np.testing.assert_allclose(answer, live, rtol=0, atol=TOLERANCE)
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_a_models_export_survives_invalid_numbers(tmp_path):
-    """Estimates stay finite, commands within their bounds; afterwards it estimates again."""
-    robot = ROBOTS["skid_steered"]
-    with no_compiler():
-        folder = rhec.export(made_for(robot), tmp_path / "rhec")
-    in_c, rng = InC(folder), np.random.default_rng(5)
-    z, references = inputs_of(robot, 400)
-    low, high = np.transpose([*robot.bounds.values()])
-    doubles, seen = np.frombuffer(in_c.memory, dtype=float), 0
-    for k, (row, (x_ref, u_ref)) in enumerate(zip(z, references)):
-        wrong = k < 300 and rng.random(row.shape) < 0.3
-        row = np.where(wrong, rng.choice([np.nan, np.inf, -1e300, 1e9, 0.0], row.shape), row)
-        if k % 50 == 25 and k < 300:
-            doubles[3:] = np.nan  # all but the settings' address and the counters
-        known, status = in_c.call("estimate", row, length=7)
-        command, planned = in_c.call("control", known[:3], known[5:], x_ref, u_ref, length=2)
-        assert np.isfinite(known).all() and (low <= command).all() and (command <= high).all()
-        seen |= status | planned
-    assert seen & RESTARTED == RESTARTED and status == planned == 0
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_an_input_that_is_not_commanded_stays_finite_where_its_reference_is_not(tmp_path):
-    """It keeps its last value, in C and in Python; the next finite one is followed."""
-    robot = ROBOTS["bicycle"]
-    options = robot.controller | dict(
-        command=("steering_rad",), r=(1.0,), bounds=dict(steering_rad=robot.bounds["steering_rad"])
-    )
-    with no_compiler():
-        mpc = rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=8, **options)
-        folder = rhec.export(mpc, tmp_path / "rhec")
-    in_c = InC(folder)
-    low, high = robot.bounds["steering_rad"]
-    place = robot.model["inputs"].index("speed_mps")
-    x, p = np.zeros(3), np.zeros(len(robot.model["parameters"]))
-    x_ref = np.zeros((3, 9))
-    for k, speed in enumerate([np.nan, 0.5, np.nan, -np.inf, 0.4]):
-        u_ref = np.zeros((2, 8))
-        u_ref[place] = speed
-        command, status = in_c.call("control", x, p, x_ref, u_ref, length=2)
-        assert command[place] == [0.0, 0.5, 0.5, 0.5, 0.4][k]
-        assert low <= command[1 - place] <= high
-        assert bool(status) != np.isfinite(speed)
-        mpc.prepare()
-        in_python = mpc.feedback(x=x, p=p, x_ref=x_ref, u_ref=u_ref)
-        np.testing.assert_allclose(in_python, command, rtol=TOLERANCE, atol=TOLERANCE)
-        assert mpc.ok == (status == 0)
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_an_exported_controller_with_constraints_answers_as_the_live_object(tmp_path):
-    """Bounds on a state, on an output (soft) and on changes; also where the step is not ok."""
-    robot = ROBOTS["bicycle"]
-    options = robot.controller | dict(
-        bounds=robot.bounds | dict(theta_rad=(-3.2, 3.2), y=rhec.Bound(-0.2, 0.3, linear=5.0)),
-        outputs=dict(y=lambda x, u, p: x[1]),
-        q_y=(0.1,),
-        r_delta=(0.5, 0.5),
-        delta_bounds=dict(speed_mps=(-0.3, 0.3)),
-    )
-    with no_compiler():
-        mpc = rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=8, **options)
-        folder = rhec.export(mpc, tmp_path / "rhec")
-    in_c, rng = InC(folder), np.random.default_rng(6)
-    solved = []
-    for k in range(30):
-        x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
-        x_ref = rng.uniform(*robot.x_range, (9, 3)).T
-        u_ref = rng.uniform(*robot.u_range, (8, 2)).T
-        x[2] += 4.0 * (k % 10 == 5)  # a heading that cannot be brought back
-        mpc.prepare()
-        expected = mpc.feedback(x, p, x_ref, u_ref)
-        answer, status = in_c.call("control", x, p, x_ref, u_ref, length=2)
-        np.testing.assert_allclose(answer, expected, rtol=0, atol=TOLERANCE)
-        assert mpc.ok == (status == 0)
-        solved.append(mpc.ok)
-    assert 20 <= sum(solved) < 30
-
-
-@pytest.mark.parametrize("wrong", ["twice", "paper", "ekf", "dt", "nothing", "other"])
-def test_what_cannot_be_exported_of_a_model_is_refused_in_one_sentence(wrong, tmp_path):
-    with no_compiler():
-        mhe, mpc = made_for(ROBOTS["cart"])
-        kalman = dict(dt=DT, guess=(0, 0, 0), **ROBOTS["cart"].estimator)
-        other = rhec.RHC(model=mpc.stages.model, dt=0.1, horizon=8, **ROBOTS["cart"].controller)
-        parts, sentence = {
-            "twice": ((mhe, mhe), "^scenario was .* it should be a RHE, a RHC or one of each"),
-            "paper": (rhec.RHE(), "for the paper's robot a Scenario$"),
-            "ekf": (rhec.EKF(model=mhe.model, **kalman), "^scenario was .*; it should be"),
-            "dt": ((mhe, other), "^RHE and RHC differ; both should have the same model and dt$"),
-            "nothing": ((), "^scenario was .*; it should be a rhec.Scenario"),
-            "other": ((mhe, "rhc"), "^scenario was .*; it should be a rhec.Scenario"),
-        }[wrong]
-        with pytest.raises(ValueError, match=sentence):
-            rhec.export(parts, tmp_path / "new")
-    assert not (tmp_path / "new").exists()

@@ -1,67 +1,193 @@
-"""Exports of Models that are stiff or have no slopes somewhere answer as the live objects."""
+"""Exports of Models answer as the live objects, whatever these are and whatever they are told."""
+
+import ctypes
+import re
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import no_compiler
 from in_c import InC
+from oracles import mhe_instance
+from robots import DT, ROBOTS
 from rotating_masses import INERTIA, measured, mhe_of_masses
 
 import rhec
+from notebooks.studies import toolchain
 from rhec.core._casadi import compiled
 
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 TOLERANCE = 1e-9  # of answers, relative and absolute
+BICYCLE, SKID_STEERED = ROBOTS["bicycle"], ROBOTS["skid_steered"]
 
 
-@pytest.mark.nightly
-@needs_compiler
-def test_each_estimate_of_stiff_masses_is_finite_and_equal_to_pythons(tmp_path):
-    """Ten seeds, 60 estimates each; one Runge-Kutta step would multiply an error by 291."""
-    with no_compiler():
-        in_c = InC(rhec.export(mhe_of_masses(steps=5), tmp_path / "rhec"))
-        for seed in range(10):
-            mhe = mhe_of_masses(steps=5)
-            in_c.begin()
-            for z in measured(seed):
-                mhe.prepare()
-                estimate = mhe.feedback(z)
-                in_c.prepare()
-                answer, status = in_c.call("estimate", z, length=11)
-                assert np.all(np.isfinite(answer))
-                assert (status == 0) == mhe.ok
-                expected = np.concatenate(estimate[:3])
-                np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
-            assert answer[-1] == pytest.approx(INERTIA, rel=0.01)
+def compared(answer, expected):
+    np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
 
 
-@pytest.mark.nightly
-@needs_compiler
-def test_an_estimate_without_slopes_finds_back_in_c_as_in_python(tmp_path):
+class Case(NamedTuple):
+    """An estimator or a controller, what it is given at each sample, and which steps are solved."""
+
+    part: object
+    given: list
+    solved: object  # a function of the flags of all steps
+
+
+def estimator_of(robot, **options):
+    guess = (*np.mean(robot.x_range, axis=0), *np.mean(robot.p_range, axis=0))
+    settings = dict(dt=DT, horizon=6, guess=guess) | robot.estimator
+    return rhec.RHE(model=rhec.Model(**robot.model), **settings | options)
+
+
+def controller_of(robot, **options):
+    settings = dict(dt=DT, horizon=8) | robot.controller
+    return rhec.RHC(model=rhec.Model(**robot.model), **settings | options)
+
+
+def problems(robot, samples, seed=6):
+    """Random states and references, which keep bounds active."""
+    rng = np.random.default_rng(seed)
+    n_x, n_u = len(robot.states), len(robot.inputs)
+    for _ in range(samples):
+        x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
+        x_ref = rng.uniform(*robot.x_range, (9, n_x)).T
+        yield [x, p, x_ref, rng.uniform(*robot.u_range, (8, n_u)).T]
+
+
+def alone():
+    _, z = mhe_instance(BICYCLE, np.random.default_rng(4), 19, missing=0.2)
+    return Case(estimator_of(BICYCLE), z, all)
+
+
+def stiff():
+    """One Runge-Kutta step would multiply an error by 291."""
+    return Case(mhe_of_masses(steps=5), measured(0), lambda ok: ok[-1])
+
+
+def without_slopes():
     """A tank whose outflow has no slope below the ground, measured with much noise."""
-    rng = np.random.default_rng(0)
     model = rhec.Model(
-        states=("level",),
-        inputs=("inflow",),
-        parameters={"outflow": (0.2, 3.0)},
-        outputs=("level", "inflow"),
-        f=lambda x, u, p: [u[0] - p[0] * ca.sqrt(x[0])],
+        states=("level",), inputs=("inflow",), parameters={"outflow": (0.2, 3.0)},
+        outputs=("level", "inflow"), f=lambda x, u, p: [u[0] - p[0] * ca.sqrt(x[0])],
+    )  # fmt: skip
+    noise = dict(sigma_v=(0.1, 0.02), sigma_w=(0.05, 0.02), sigma_guess=(0.5, 0.5))
+    mhe = rhec.RHE(model=model, dt=0.2, horizon=10, guess=(1.0, 1.0), **noise)
+    exact = [(0.01 if k < 40 else 0.3, 0.0) for k in range(80)]
+    z = exact + np.random.default_rng(0).normal(size=(80, 2)) * noise["sigma_v"]
+    return Case(mhe, z, lambda ok: not all(ok) and all(ok[-30:]))
+
+
+def constrained():
+    """Bounds on a state, on an output (soft) and on changes; some steps are not ok."""
+    mpc = controller_of(
+        BICYCLE,
+        bounds=BICYCLE.bounds | dict(theta_rad=(-3.2, 3.2), y=rhec.Bound(-0.2, 0.3, linear=5.0)),
+        outputs=dict(y=lambda x, u, p: x[1]),
+        q_y=(0.1,),
+        r_delta=(0.5, 0.5),
+        delta_bounds=dict(speed_mps=(-0.3, 0.3)),
     )
+    given = [*problems(BICYCLE, 30)]
+    for x, *_ in given[5::10]:
+        x[2] += 4.0  # a heading that cannot be brought back
+    return Case(mpc, given, lambda ok: 20 <= sum(ok) < 30)
+
+
+def not_commanded():
+    """An input that is not commanded stays finite where its reference is not."""
+    command = dict(command=("steering_rad",), r=(1.0,))
+    mpc = controller_of(BICYCLE, **command, bounds=dict(steering_rad=(-0.35, 0.35)))
+    given = [*problems(BICYCLE, 5)]
+    for (*_, u_ref), speed in zip(given, [np.nan, 0.5, np.nan, -np.inf, 0.4]):
+        u_ref[0] = speed
+    return Case(mpc, given, lambda ok: [*ok] == [False, True, False, False, True])
+
+
+CASES = (constrained, alone, stiff, without_slopes, not_commanded)
+
+
+@pytest.mark.nightly(keep=2)
+@needs_compiler
+@pytest.mark.parametrize("make", CASES)
+def test_an_estimator_or_a_controller_alone_answers_as_in_python(make, tmp_path):
     with no_compiler():
-        mhe = rhec.RHE(
-            model=model, dt=0.2, horizon=10, sigma_v=(0.1, 0.02), sigma_w=(0.05, 0.02),
-            guess=(1.0, 1.0), sigma_guess=(0.5, 0.5),
-        )  # fmt: skip
-        in_c = InC(rhec.export(mhe, tmp_path / "rhec"))
-        oks = []
-        for k in range(80):
-            z = np.array([0.01 if k < 40 else 0.3, 0.0]) + (0.1, 0.02) * rng.normal(size=2)
-            mhe.prepare()
-            estimate = mhe.feedback(z)
-            in_c.prepare()
-            answer, status = in_c.call("estimate", z, length=3)
-            assert (status == 0) == mhe.ok
-            expected = np.concatenate(estimate[:3])
-            np.testing.assert_allclose(answer, expected, rtol=TOLERANCE, atol=TOLERANCE)
-            oks.append(mhe.ok)
-        assert not all(oks) and all(oks[-30:])
+        part, rows, solved = make()
+        in_c = InC(rhec.export(part, tmp_path / "rhec"))
+    name, other = "estimate", "control"
+    if isinstance(part, rhec.RHC):
+        name, other = other, name
+    assert not hasattr(in_c.library, f"rhec_{other}")
+    flags = []
+    for row in rows:
+        part.prepare()
+        in_c.prepare()
+        found = part.feedback(*row) if name == "control" else part.feedback(row)
+        expected = found if name == "control" else np.concatenate(found[:3])
+        answer, status = in_c.call(
+            name, *(row if name == "control" else [row]), length=len(expected)
+        )
+        assert np.isfinite(answer).all() and (status == 0) == part.ok
+        compared(answer, expected)
+        flags.append(part.ok)
+    assert solved(flags)
+    if make is stiff:
+        assert answer[-1] == pytest.approx(INERTIA, rel=0.01)
+    if make is not_commanded:
+        assert answer[0] == 0.4
+
+
+@pytest.mark.nightly(keep=1)
+@needs_compiler
+@pytest.mark.parametrize("bounds", [None, {"x_m": (-50.0, 0.1)}], ids=["free", "bounded"])
+def test_an_exports_process_noise_may_change_by_sample(bounds, tmp_path):
+    """Within the window, through a copy of the settings that the caller changes."""
+    rng = np.random.default_rng(5)
+    guess, z = mhe_instance(BICYCLE, rng, 29, missing=0.2)
+    guess[0] = min(guess[0], 0.1)
+    model = rhec.Model(**BICYCLE.model, state_bounds=bounds)
+    options = dict(model=model, dt=DT, horizon=4, guess=tuple(guess), noise_in_window=True)
+    with no_compiler():
+        mhe = rhec.RHE(**options, **BICYCLE.estimator)
+        folder = rhec.export(mhe, tmp_path / "rhec")
+    in_c = InC(folder)
+    struct = (folder / "rhec_memory.h").read_text().split("struct rhec_settings {")[1].split("}")[0]
+    lengths = dict(re.findall(r"double (\w+)\[(\d+)\]", struct))
+    begin = sum(int(n) for n in [*lengths.values()][: [*lengths].index("W")])
+    size = sum(map(int, lengths.values()))
+    copied = (ctypes.c_double * size).in_dll(in_c.library, "rhec_scenario")
+    changed = (ctypes.c_double * size)(*copied)
+    first = (ctypes.c_double * len(guess)).in_dll(in_c.library, "rhec_scenario_guess")
+    in_c.library.rhec_init(in_c.memory, changed, first)
+    for row in z:
+        sigma_w = np.array(BICYCLE.sigma_w) * rng.uniform(0, 5, len(guess))
+        changed[begin : begin + len(guess)] = np.square(sigma_w)
+        mhe.prepare()
+        live = np.concatenate(mhe.feedback(row, sigma_w=sigma_w)[:3])
+        answer, _ = in_c.call("estimate", row, length=len(mhe.model.names))
+        compared(answer, live)
+
+
+@pytest.mark.nightly
+@needs_compiler
+def test_a_models_export_survives_invalid_numbers(tmp_path):
+    """Estimates stay finite, commands within their bounds; afterwards it estimates again."""
+    restarted = ("estimator_restarted", "controller_restarted")
+    both = sum(toolchain.STATUS[name] for name in restarted)
+    with no_compiler():
+        parts = estimator_of(SKID_STEERED), controller_of(SKID_STEERED)
+        in_c = InC(rhec.export(parts, tmp_path / "rhec"))
+    rng = np.random.default_rng(5)
+    _, z = mhe_instance(SKID_STEERED, rng, 399, missing=0.2)
+    low, high = np.transpose([*SKID_STEERED.bounds.values()])
+    doubles, seen = np.frombuffer(in_c.memory, dtype=float), 0
+    for k, (row, (_, _, *references)) in enumerate(zip(z, problems(SKID_STEERED, 400))):
+        wrong = k < 300 and rng.random(row.shape) < 0.3
+        row = np.where(wrong, rng.choice([np.nan, np.inf, -1e300, 1e9, 0.0], row.shape), row)
+        if k % 50 == 25 and k < 300:
+            doubles[3:] = np.nan  # all but the settings' address and the counters
+        known, status = in_c.call("estimate", row, length=7)
+        command, planned = in_c.call("control", known[:3], known[5:], *references, length=2)
+        assert np.isfinite(known).all() and (low <= command).all() and (command <= high).all()
+        seen |= status | planned
+    assert seen & both == both and status == planned == 0

@@ -14,9 +14,6 @@ from rhec import paper
 from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot import terrain
 
-COLUMNS = """t_s x_m y_m theta_rad mu kappa nu_mps omega_radps x_meas_m y_meas_m nu_meas_mps
-    omega_meas_radps x_hat_m y_hat_m theta_hat_rad nu_hat_mps mu_hat kappa_hat omega_cmd_radps s_m
-    curvature_radpm on_straight error_m error_true_m kkt_rhe kkt_rhc ok""".split()
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 MEASURED = ["x_meas_m", "y_meas_m"]
 MINUTE = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=60.0)
@@ -33,13 +30,7 @@ def assert_equal_logs(one, other, atol=0.0):
 # Seeds and noise
 
 
-def test_the_same_scenario_is_the_same_run(run):
-    again = simulated()
-    assert_equal_logs(run.log, again.log)
-    assert str(run.metrics) == str(again.metrics)
-
-
-@pytest.mark.parametrize("duration_s", [0.2, 3.0, 3.4, 120.0])
+@pytest.mark.parametrize("duration_s", [0.2, 3.4, 60.0, 64.0])
 def test_a_longer_run_begins_like_a_shorter_one(run, duration_s):
     other = simulated(duration_s=duration_s)
     assert len(other.log) == round(duration_s / 0.2)
@@ -89,26 +80,15 @@ def test_traction_in_the_log_is_that_of_the_terrain_under_the_robot(run):
 # The log and its metrics
 
 
-def test_the_log_has_the_columns_that_other_programs_read(run):
-    assert set(COLUMNS) <= set(run.log.columns)
-    assert (
-        run.log["ok"].dtype == bool and run.log["on_straight"].dtype == bool and run.log["ok"].all()
-    )
-    np.testing.assert_allclose(run.log["t_s"], 0.2 * np.arange(300), atol=1e-12)
-    numbers = run.log.drop(columns="deviance", errors="ignore")
-    assert np.all(np.isfinite(numbers.astype(float)))
-    _, curvatures = run.path.poses(run.path.project(run.log[["x_m", "y_m"]])[1])
-    np.testing.assert_array_equal(run.log["on_straight"], curvatures == 0)
-    assert run.scenario == MINUTE
-
-
 def test_errors_are_distances_to_the_path(run):
     for error, names in (("error_m", MEASURED), ("error_true_m", ["x_m", "y_m"])):
-        distance, _ = run.path.project(run.log[names].to_numpy())
+        distance, s = run.path.project(run.log[names].to_numpy())
         np.testing.assert_allclose(run.log[error], distance, atol=1e-12)
+    np.testing.assert_array_equal(run.log["on_straight"], run.path.poses(s)[1] == 0)
     late = run.log[run.log["t_s"] > 30]
     _, s = run.path.project(late[["x_hat_m", "y_hat_m"]].to_numpy())
     np.testing.assert_allclose(late["s_m"] % run.path.length_m, s, atol=0.01)
+    np.testing.assert_allclose(run.log["t_s"], 0.2 * np.arange(300), atol=1e-12)
 
 
 def corner_errors(run, log):
@@ -129,14 +109,18 @@ def corner_errors(run, log):
 
 @pytest.mark.parametrize(
     "changes",
-    [dict(), dict(process_noise="printed", estimator="ekf"), dict(q=paper.Q2, start_offset_m=-1.0)],
+    [
+        dict(process_noise="printed", estimator="ekf", duration_s=240.0),
+        dict(q=paper.Q2, start_offset_m=-1.0, duration_s=120.0),
+        dict(start_offset_m=-30.0),
+    ],
     ids=str,
 )
 def test_metrics_are_what_the_log_says(changes):
     """Recounted sample by sample. Arrival: the first of 25 samples in a row with a true error
     within 0.12 m, after which the count begins; without it the whole run counts.
     """
-    run = simulated(duration_s=240.0, **changes)
+    run = simulated(**changes)
     log = run.log
     inside = [error < 0.12 for error in log["error_true_m"]]
     arrivals = [k for k in range(len(log) - 24) if all(inside[k : k + 25])]
@@ -170,20 +154,14 @@ def test_metrics_are_what_the_log_says(changes):
     assert run.metrics == pytest.approx(expected, nan_ok=True)
 
 
-def test_a_robot_that_never_arrives_is_judged_on_its_whole_run():
-    run = simulated(start_offset_m=-30.0)
-    assert np.isnan(run.metrics["settling_time_s"])
-    assert run.metrics["mean_error_m"] == pytest.approx(run.log["error_m"].mean())
-
-
 # What the loop does
 
 
 def test_backwards_it_follows_the_path_tail_first():
-    run = simulated(backwards=True, duration_s=240.0)
+    run = simulated(backwards=True, duration_s=180.0)
     late = run.log[run.log["t_s"] > 40]
     assert late["error_true_m"].mean() < 0.06 and late["error_true_m"].max() < 0.3
-    assert late["nu_mps"].max() < 0 and late["s_m"].iloc[-1] > 75
+    assert late["nu_mps"].max() < 0 and late["s_m"].iloc[-1] > 60
     heading = run.path.poses(late["s_m"])[0][:, 2] + np.pi
     assert np.all(np.cos(late["theta_rad"] - heading) > 0.9)
 
@@ -219,7 +197,6 @@ def test_terrain_and_path_of_ones_own():
     soil = rhec.Terrain.uniform(0.7, 0.6)
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
     run = simulated(terrain=soil, path=path, start_offset_m=-0.3)
-    assert run.terrain is soil and run.path is path
     np.testing.assert_allclose(run.log[["mu", "kappa"]], [[0.7, 0.6]] * 300, atol=1e-12)
     start = 3 + 0.3 * np.sin(2), -2 - 0.3 * np.cos(2), 2
     assert run.log.loc[0, ["x_m", "y_m", "theta_rad"]].tolist() == pytest.approx(start)
@@ -257,22 +234,15 @@ def test_in_a_notebook_a_run_is_a_table_of_its_metrics_and_the_picture_of_plot(r
     monkeypatch.setattr(rhec.Run, "plot", lambda self: drawn.append(plot(self)) or drawn[-1])
     page = run._repr_html_()
     assert len(drawn) == page.count("<img ") == 1 and "://" not in page
-    table = run.metrics._repr_html_()
-    assert table in page and all(f"<td>{name}</td>" in table for name in run.metrics)
-    assert f"<td>mean_error_m</td><td>{run.metrics['mean_error_m']:.4g}</td><td>m</td>" in table
-
-
-@pytest.mark.parametrize("estimator", ["rhe", "ekf"])
-def test_the_picture_of_a_run_has_path_errors_and_traction(estimator):
-    run = simulated(estimator=estimator, duration_s=20.0)
-    figure = run.plot()
-    assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "error [m]", "μ [-]", "κ [-]"]
-    robot_line = figure.axes[0].get_lines()[1]
+    assert run.metrics._repr_html_() in page
+    assert f"<td>mean_error_m</td><td>{run.metrics['mean_error_m']:.4g}</td><td>m</td>" in page
+    labels = [axes.get_ylabel() for axes in drawn[0].axes]
+    assert labels == ["y [m]", "error [m]", "μ [-]", "κ [-]"]
+    robot_line = drawn[0].axes[0].get_lines()[1]
     np.testing.assert_array_equal(robot_line.get_xdata(), run.columns["x_m"])
-    # Two standard deviations, where the estimator has them for the traction.
-    assert len(figure.axes[3].collections) == (1 if estimator == "rhe" else 0)
-    # Most of the height of the axes is for what the traction does.
-    for axes, name in zip(figure.axes[2:], ("mu", "kappa")):
+    # Most of the height of the axes is for what the traction does, not for what is unsure of it.
+    for axes, name in zip(drawn[0].axes[2:], ("mu", "kappa")):
         low, high = axes.get_ylim()
         both = np.concatenate([run.columns[name], run.columns[f"{name}_hat"]])
+        assert len(axes.collections) == 1
         assert low < np.median(both) < high and high - low < 1.2 * np.ptp(both) + 0.05

@@ -13,9 +13,6 @@ from helpers import own_controller
 import rhec
 from notebooks.rivals import RIVALS
 from rhec import paper, style
-from rhec.core.lanes import lanes
-from rhec.simulation import closed_loop
-from rhec.simulation.campaigns import batch
 
 PLAIN = rhec.Scenario(estimator="ekf", process_noise="prediction", duration_s=20.0)
 OWN = dataclasses.replace(PLAIN, controller=own_controller(PLAIN))
@@ -27,7 +24,7 @@ NAMED = {"allow_duplicate_io_names": True}
 
 @pytest.mark.parametrize("estimator", ["oracle", "ekf", RIVALS["yaw_drift_ekf"]], ids=str)
 def test_ten_lines_steer_the_robot_to_its_path(estimator):
-    log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=50.0)).log
+    log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=40.0)).log
     assert log["ok"].all() and (log["kkt_rhc"] == 0).all()
     assert log["error_true_m"][150:].mean() < paper.TOLERANCE_M
     assert log["omega_cmd_radps"].abs().max() <= 1.5 * paper.OMEGA_MAX_RADPS
@@ -83,37 +80,13 @@ def test_the_loop_cancels_the_yaw_drift_for_a_step_that_does_not_take_it():
 # As a value
 
 
-def test_it_is_equal_to_another_of_the_same_text_and_memory():
+def test_it_is_a_value_of_its_text_and_memory():
     same, other = own_controller(PLAIN), own_controller(PLAIN, gain=2.0)
     for made in (same, pickle.loads(pickle.dumps(same))):
         assert made == OWN.controller and hash(made) == hash(OWN.controller)
         assert dataclasses.replace(OWN, controller=made) == OWN
     assert other != OWN.controller != rhec.Controller(OWN.controller.step, (1.0,))
     assert OWN != PLAIN and OWN.controller != "rhc"
-    assert len({OWN, dataclasses.replace(OWN, controller=same), PLAIN}) == 2
-
-
-def test_it_can_be_read():
     assert repr(OWN.controller) == "Controller('steer', memory of 1)"
     assert "controller=controller" in repr(OWN)
     assert "steer" in json.loads(style._as_json(OWN))["controller"]["step"]
-
-
-@pytest.mark.nightly
-def test_a_campaign_drives_it_in_lanes_and_processes_and_keeps_its_rows(tmp_path, monkeypatch):
-    scenarios = [
-        dataclasses.replace(OWN, seed=seed, controller=own_controller(PLAIN, gain))
-        for gain in (3.0, 5.0)
-        for seed in range(5)
-    ]
-    expected = pd.DataFrame([rhec.simulate(scenario).metrics for scenario in scenarios])
-    with_folder = rhec.campaign(scenarios, folder=tmp_path, workers=2)
-    assert (with_folder["error"] == "").all()
-    pd.testing.assert_frame_equal(with_folder[expected.columns], expected)
-    monkeypatch.setattr(closed_loop, "simulate_setup", lambda *run: 1 / 0)
-    again = rhec.campaign(scenarios, folder=tmp_path, workers=1)
-    pd.testing.assert_frame_equal(again[expected.columns], expected)
-    if lanes.cpp_compiler():
-        monkeypatch.setattr(batch, "_WORTH_COMPILING", 0)
-        in_lanes = rhec.campaign(scenarios, workers=1)
-        pd.testing.assert_frame_equal(in_lanes[expected.columns], expected)

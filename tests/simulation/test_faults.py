@@ -16,6 +16,7 @@ from notebooks.further import faults as fault_study
 from rhec import paper
 from rhec.simulation import fault_signals, faults
 from rhec.simulation.faults import Fault
+from rhec.tracked_robot.sensors import SENSORS
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 DT, B = paper.DT_S, paper.TRACK_WIDTH_M
@@ -53,9 +54,37 @@ def test_only_the_channel_and_the_time_of_the_fault_are_touched(fault):
         assert changed[DURING].any(axis=0).tolist() == [row in touched for row in range(4)]
 
 
-def test_missing_is_nan_and_infinite_inf():
-    assert np.isnan(arriving(kind="missing", channel="all")[DURING]).all()
-    assert np.isposinf(arriving(kind="infinite", channel="encoders")[DURING, 2:]).all()
+NAN = -1
+# {kind and options: which sample each of ten samples of a faulty channel is}; NAN: none of them
+DELIVERED = {
+    "missing": [NAN] * 10,
+    "infinite": [NAN] * 10,
+    "stuck": [49] * 10,
+    "duplicates": [50, 50, 52, 52, 54, 54, 56, 56, 58, 58],
+    "disorder": [50, 49, 52, 51, 54, 53, 56, 55, 58, 57],
+    "rate": [50, NAN, 52, NAN, 54, NAN, 56, NAN, 58, NAN],
+}
+
+
+@pytest.mark.parametrize("kind", DELIVERED)
+def test_some_faults_deliver_earlier_samples_or_none(kind):
+    order = np.array(DELIVERED[kind])
+    options = dict(rate_hz=2.5) if kind == "rate" else {}
+    rows = 2 if kind in ("stuck", "rate") else 4
+    channel = "gnss" if rows == 2 else "all"
+
+    none = np.inf if kind == "infinite" else np.nan
+
+    def expected(order):
+        return np.where(order[:, None] == NAN, none, Z[np.maximum(order, 0), :rows])
+
+    found = arriving(kind=kind, channel=channel, **options)
+    np.testing.assert_array_equal(found[DURING, :rows], expected(order))
+    # Before the first sample there is none: the first takes its place.
+    early = arriving(kind=kind, channel=channel, **options, start_s=0.0)[:10, :rows]
+    np.testing.assert_array_equal(
+        early, expected(np.where(order == NAN, NAN, np.maximum(order - 50, 0)))
+    )
 
 
 def test_outliers_have_their_size_and_the_directions_of_their_seed():
@@ -71,26 +100,6 @@ def test_outliers_have_their_size_and_the_directions_of_their_seed():
     assert np.ptp(off[0], axis=0).min() > 1 and np.ptp(off[3], axis=0).max() < 1e-12
 
 
-def test_a_stuck_position_is_the_last_one_before():
-    np.testing.assert_array_equal(arriving(kind="stuck")[DURING, :2], Z[[49] * 10, :2])
-    from_the_start = arriving(kind="stuck", start_s=-1.0, duration_s=2.0)[:5]
-    np.testing.assert_array_equal(from_the_start, np.column_stack([Z[[0] * 5, :2], Z[:5, 2:]]))
-
-
-@pytest.mark.parametrize(
-    "kind, order",
-    [
-        ("duplicates", [50, 50, 52, 52, 54, 54, 56, 56, 58, 58]),
-        ("disorder", [50, 49, 52, 51, 54, 53, 56, 55, 58, 57]),
-    ],
-)
-def test_duplicates_and_disorder_deliver_earlier_samples(kind, order):
-    np.testing.assert_array_equal(arriving(kind=kind, channel="all")[DURING], Z[order])
-    # Before the first sample there is none.
-    early = arriving(kind=kind, channel="all", start_s=0.0)[:10]
-    np.testing.assert_array_equal(early, Z[np.maximum(np.array(order) - 50, 0)])
-
-
 @pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.35, 0.6])
 def test_latency_delivers_the_position_of_an_earlier_time(delay_s):
     """Linear between the samples."""
@@ -99,12 +108,6 @@ def test_latency_delivers_the_position_of_an_earlier_time(delay_s):
     np.testing.assert_array_equal(
         arriving(kind="latency", delay_s=delay_s, start_s=0.0)[0], Z[0]
     )  # there is none before the first
-
-
-@pytest.mark.parametrize("rate_hz, every", [(5.0, 1), (2.5, 2), (1.0, 5), (0.5, 10)])
-def test_at_a_lower_rate_positions_are_missing(rate_hz, every):
-    there = ~np.isnan(arriving(kind="rate", rate_hz=rate_hz)[DURING, 0])
-    np.testing.assert_array_equal(there, np.arange(10) % every == 0)
 
 
 def test_a_dead_encoder_measures_0():
@@ -116,18 +119,6 @@ def test_a_dead_encoder_measures_0():
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
-def test_faults_add_up():
-    both = [
-        Fault(kind="jump", size_m=1.0, start_s=2.0, duration_s=5.0),
-        Fault(kind="stuck", start_s=4.0, duration_s=1.0),
-    ]
-    got = fault_signals.corrupted(Z, both, T, B)
-    jump = got[15] - Z[15]
-    np.testing.assert_allclose(np.hypot(*jump[:2]), 1.0)
-    np.testing.assert_allclose(got[20:25, :2], Z[[19] * 5, :2] + jump[:2])
-    np.testing.assert_allclose(got[25:35], Z[25:35] + jump)
-
-
 OF_A_SIZE = dict(
     outliers=dict(size_m=st.floats(0, 100)), jump=dict(size_m=st.floats(0, 100)),
     latency=dict(delay_s=st.floats(0, 1)), rate=dict(rate_hz=st.floats(0.1, 20)),
@@ -137,7 +128,10 @@ OF_A_SIZE = dict(
 @st.composite
 def a_fault(draw):
     kind = draw(st.sampled_from(faults.KINDS))
-    channel = draw(st.sampled_from(faults.OWN_CHANNELS.get(kind, tuple(faults.CHANNELS))))
+    channels = faults.OWN_CHANNELS.get(kind, tuple(faults.CHANNELS))
+    if "encoders" in channels:
+        channels += tuple(SENSORS)
+    channel = draw(st.sampled_from(channels))
     size = {name: draw(values) for name, values in OF_A_SIZE.get(kind, {}).items()}
     times = dict(start_s=draw(st.floats(-2, 22)), duration_s=draw(st.floats(0, 10)))
     return Fault(kind=kind, channel=channel, **size, **times)
@@ -146,23 +140,26 @@ def a_fault(draw):
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(a_fault(), max_size=4), st.integers(0, 9))
 def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
-    deliver, memory, rows = fault_signals.deliver(), faults.init(), []
-    ends = np.cumsum([n * columns for n, columns in faults.STREAM.values()])[:-1]
-    for z, row in zip(Z, fault_signals.stream(several, len(Z), DT, seed)):
-        signals = dict(zip(faults.STREAM, np.split(row, ends)))
-        result = deliver(z=z, **memory, **signals, track_width_m=B)
+    """Of a robot with all sensors."""
+    names = tuple(SENSORS)
+    z = np.column_stack([Z, np.cos(T), 0.3 * T])
+    shapes = faults.stream_shapes(len(names))
+    deliver, memory, rows = fault_signals.deliver(len(names)), faults.init(len(names)), []
+    ends = np.cumsum([n * columns for n, columns in shapes.values()])[:-1]
+    for sample, row in zip(z, fault_signals.stream(several, len(z), DT, seed, names)):
+        signals = dict(zip(shapes, np.split(row, ends)))
+        result = deliver(z=sample, **memory, **signals, track_width_m=B)
         memory = {name: result[name] for name in memory}
         rows.append(flat(result["z"]))
-    expected = fault_signals.corrupted(Z, several, T, B, seed)
+    expected = fault_signals.corrupted(z, several, T, B, seed, names)
     np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.lists(a_fault(), max_size=4), st.integers(1, 100))
 def test_a_longer_stream_begins_like_a_shorter_one(several, n):
-    np.testing.assert_array_equal(
-        fault_signals.stream(several, 100, DT, 3)[:n], fault_signals.stream(several, n, DT, 3)
-    )
+    longer, shorter = (fault_signals.stream(several, m, DT, 3, tuple(SENSORS)) for m in (100, n))
+    np.testing.assert_array_equal(longer[:n], shorter)
 
 
 # In the closed loop

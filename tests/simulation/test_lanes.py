@@ -67,17 +67,6 @@ def texts(tmp_path, monkeypatch):
 
 
 @pytest.mark.nightly
-def test_a_loop_compiled_by_parts_has_the_bits_of_one_compiled_whole(tmp_path, texts, monkeypatch):
-    by_parts = rows_of(tmp_path / "parts", estimator="rhe")
-    # The steps of estimator and controller, the references, the robot's motion, and the rest.
-    assert len(texts) == 5
-    monkeypatch.setattr(shared_steps, "_is_large", lambda function: False)
-    whole = rows_of(tmp_path / "whole", estimator="rhe")
-    assert len(texts) == 6
-    np.testing.assert_array_equal(by_parts, whole)
-
-
-@pytest.mark.nightly
 def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
     for name, made in {"rhe": 5, "ekf": 2, "rhe_no_slip": 2}.items():
         texts.clear()
@@ -127,72 +116,55 @@ def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
     assert_rows_of_simulate(table, scenarios)
 
 
-def test_runs_of_unlike_length_share_lanes(always, monkeypatch):
-    block = lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
-    scenarios = [
-        dataclasses.replace(SMALL, duration_s=SMALL.duration_s + length, seed=seed)
-        for length in (0.0, 2.0, 6.0, 30.0)
-        for seed in range(block.lanes // 4 or 1)
-    ]
-    run, at_once = runner.run, []
-    monkeypatch.setattr(runner, "run", lambda *given: at_once.append(len(given[1])) or run(*given))
-    table = rhec.campaign(scenarios, workers=1)
-    assert at_once == [block.lanes] * (len(scenarios) // block.lanes)
-    assert_rows_of_simulate(table, scenarios)
-
-
-def test_lanes_are_compiled_for_the_loops_of_many_runs(monkeypatch):
-    """Few runs of other loops do not keep one loop from its lanes, nor does it give them theirs."""
-    many = [dataclasses.replace(SMALL, seed=seed) for seed in range(30)]
+def test_lanes_are_compiled_for_many_runs_or_for_fewer_beside_another_loop(monkeypatch):
+    """Loops share what takes longest to compile. Few runs of others take no loop its lanes."""
+    monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
     few = [dataclasses.replace(SMALL, estimator=name) for name in ("ekf", "oracle", "bounded_ekf")]
-    plan = batch.Plan(dict(enumerate([*few, *many])))
-    monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
-    assert plan.mean_samples < batch._WORTH_COMPILING
-    (chosen,) = plan.worth_lanes()
-    assert chosen.estimator == SMALL.estimator
-
-
-def test_lanes_are_compiled_for_fewer_runs_beside_those_of_another_loop(monkeypatch):
-    """Loops share what takes longest to compile, so a loop needs fewer runs beside another one."""
-    fewer = [dataclasses.replace(SMALL, estimator="ekf", seed=seed) for seed in range(10)]
-    more = [dataclasses.replace(SMALL, seed=seed) for seed in range(15)]
-    monkeypatch.setattr(batch, "_WORTH_COMPILING", 20 * batch.count_samples(SMALL))
-    chosen = [
-        [one.estimator for one in batch.Plan(dict(enumerate(scenarios))).worth_lanes()]
-        for scenarios in (fewer, more, [*fewer, *more])
-    ]
-    assert chosen == [[], [], ["ekf", SMALL.estimator]]
+    ten = [dataclasses.replace(SMALL, estimator="ekf", seed=seed) for seed in range(10)]
+    thirty = [dataclasses.replace(SMALL, seed=seed) for seed in range(30)]
+    for scenarios, chosen in (
+        (ten, []),
+        (thirty[:15], []),
+        (ten + thirty[:15], ["ekf", "rhe"]),
+        (few + thirty, ["rhe"]),
+    ):
+        plan = batch.Plan(dict(enumerate(scenarios)))
+        assert [one.estimator for one in plan.worth_lanes()] == chosen
 
 
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
+    """So does one whose QP solver's C is no C++ for lanes."""
     good = [*unlike(SMALL)][:2]
+    others = [
+        dataclasses.replace(SMALL, path=untraceable()),
+        dataclasses.replace(SMALL, controller=condensed.controller(SMALL, "daqp")),
+    ]
     alone = []
     simulate = campaigns.simulate
     monkeypatch.setattr(campaigns, "simulate", lambda each: alone.append(each) or simulate(each))
-    scenarios = [good[0], dataclasses.replace(SMALL, path=untraceable()), good[1]]
-    table = rhec.campaign(scenarios, workers=1)
-    assert list(table["error"] == "") == [True, False, True] and alone == [scenarios[1]]
-    assert_rows_of_simulate(table[::2], good)
+    table = rhec.campaign([good[0], *others, good[1]], workers=1)
+    assert list(table["error"] == "") == [True, False, True, True] and alone == others
+    assert_rows_of_simulate(table[::3], good)
 
 
-@pytest.mark.parametrize(
-    ("place", "name"),
-    [(runner, "run"), (closed_loop, "finished"), (closed_loop, "noise_and_faults")],
-)
-def test_an_error_of_ours_does_not_turn_into_slower_runs(always, monkeypatch, place, name):
-    lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
-    monkeypatch.setattr(place, name, lambda *given: 1 / 0)
+def build_wrong_loop(*structure):
+    raise ZeroDivisionError("a mistake")
+
+
+OURS = [(runner, "run"), (closed_loop, "finished"), (closed_loop, "noise_and_faults")]
+
+
+@pytest.mark.parametrize(("place", "name"), [*OURS, (closed_loop, "build_sample")])
+def test_an_error_of_ours_does_not_turn_into_slower_runs(
+    always, monkeypatch, tmp_path, place, name
+):
+    """Nor is one in a loop taken for one of its compiler."""
+    if name == "build_sample":
+        monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
+    else:
+        lanes.load(closed_loop.build_sample, *closed_loop.set_up(SMALL).structure)
+    monkeypatch.setattr(place, name, build_wrong_loop)
     with pytest.raises(ZeroDivisionError):
-        rhec.campaign([*unlike(SMALL)], workers=1)
-
-
-def test_an_error_in_a_loop_is_not_taken_for_one_of_its_compiler(always, monkeypatch, tmp_path):
-    def build_wrong_loop(*structure):
-        raise RuntimeError("a mistake")
-
-    monkeypatch.setenv("RHEC_CACHE", str(tmp_path))
-    monkeypatch.setattr(closed_loop, "build_sample", build_wrong_loop)
-    with pytest.raises(RuntimeError, match="^a mistake$"):
         rhec.campaign([*unlike(SMALL)], workers=1)
 
 
@@ -230,16 +202,6 @@ def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
     monkeypatch.setattr(closed_loop, "simulate_setup", lambda *scenario_and_setup: 1 / 0)
     for run, before in zip(rhec.simulate(scenarios), alone, strict=True):
         pd.testing.assert_frame_equal(run.log, before.log)
-
-
-@pytest.mark.nightly
-def test_what_has_no_lanes_runs_one_by_one(always):
-    """A QP solver's C is no C++ for lanes."""
-    by_daqp = condensed.controller(SMALL, "daqp")
-    scenarios = [dataclasses.replace(SMALL, controller=by_daqp, seed=seed) for seed in range(3)]
-    table = rhec.campaign(scenarios, workers=1)
-    assert (table["error"] == "").all()
-    assert_rows_of_simulate(table, scenarios)
 
 
 @pytest.mark.nightly

@@ -14,7 +14,6 @@ from rhec.simulation.offline import run_estimator
 from rhec.style import colour_of, label_of
 
 SHORT = rhec.Scenario(duration_s=10.0)
-ONE = (1, 1)
 
 
 def all_knowing():
@@ -32,55 +31,36 @@ def test_one_that_is_told_the_truth_drives_as_the_oracle():
         np.testing.assert_array_equal(own.columns[name], oracle.columns[name])
 
 
-def test_a_bare_function_is_an_estimator():
-    function = all_knowing()
-    scenario = dataclasses.replace(SHORT, estimator=function)
-    assert scenario.estimator == rhec.Estimator(function)
-    assert scenario == dataclasses.replace(SHORT, estimator=rhec.Estimator(all_knowing()))
-
-
 def test_its_memory_begins_with_the_first_guess_and_then_with_its_numbers():
-    """The numbers are κ here, in two loops of the same code."""
-    memory, z = ca.SX.sym("memory", 8), ca.SX.sym("z", 4)
-    estimate = ca.vertcat(memory[:5], memory[6])
-    step = ca.Function("shows", [memory, z], [memory, estimate])
-    with no_compiler():
-        logs = [
-            rhec.simulate(dataclasses.replace(SHORT, estimator=each)).columns
-            for each in (rhec.Estimator(step), rhec.Estimator(step, (0.7,)), step)
-        ]
-    assert [log["kappa_hat"][-1] for log in logs] == [0.0, 0.7, 0.0]
+    """The numbers are κ here, in two loops of the same code; the scenario's V says what μ is."""
+    memory, z, V = ca.SX.sym("memory", 8), ca.SX.sym("z", 4), ca.SX.sym("V", 4)
+    estimate = ca.vertcat(memory[:4], ca.sqrt(V[3]), memory[6])
+    names = ["memory", "z", "V"], ["next", "estimate"]
+    step = ca.Function("shows", [memory, z, V], [memory, estimate], *names)
     start = rhec.simulate(SHORT).columns
-    for hat, true in (("x_hat_m", "x_m"), ("y_hat_m", "y_m"), ("theta_hat_rad", "theta_rad")):
-        assert logs[0][hat][-1] == start[true][0]
-
-
-def test_it_is_told_the_noise_that_the_scenario_assumes():
-    memory, z, V = ca.SX.sym("memory", 6), ca.SX.sym("z", 4), ca.SX.sym("V", 4)
-    estimate = ca.vertcat(z[:2], memory[2], z[2], ca.sqrt(V[0]), ca.sqrt(V[3]))
-    names = ["memory", "z", "V"], ["memory", "estimate"], {"allow_duplicate_io_names": True}
-    own = rhec.Estimator(ca.Function("told", [memory, z, V], [estimate, estimate], *names))
-    with no_compiler():
+    for own, kappa in ((rhec.Estimator(step), 0.0), (rhec.Estimator(step, (0.7,)), 0.7)):
         scenario = dataclasses.replace(SHORT, estimator=own, sigma_v=(0.5, 0.5, 0.1, 0.25))
-        log = rhec.simulate(scenario).columns
-    assert set(log["mu_hat"]) == {0.5} and set(log["kappa_hat"]) == {0.25}
+        with no_compiler():
+            log = rhec.simulate(scenario).columns
+        assert log["kappa_hat"][-1] == kappa and set(log["mu_hat"]) == {0.25}
+        for hat, true in (("x_hat_m", "x_m"), ("y_hat_m", "y_m"), ("theta_hat_rad", "theta_rad")):
+            assert log[hat][-1] == start[true][0]
 
 
-def test_a_controller_of_ones_own_takes_its_covariance():
-    results = PLAIN[1] | dict(covariance=(2, 2))
-    own = rhec.Estimator(step_of(PLAIN[0], results))
-    steer = rhec.Controller(step_of(dict(covariance=(2, 2)), dict(command=ONE), "steer"))
-    assert dataclasses.replace(SHORT, estimator=own, controller=steer).controller == steer
-
-
-def test_equal_estimators_are_equal_in_any_process():
-    own, same = rhec.Estimator(all_knowing()), rhec.Estimator(all_knowing())
+def test_it_is_a_value_in_any_process():
+    """A bare Function is one as well. What figures call it changes no run."""
+    function = all_knowing()
+    own, same = rhec.Estimator(function), rhec.Estimator(all_knowing())
     other = rhec.Estimator(step_of(*PLAIN))
     again = pickle.loads(pickle.dumps(own))
     assert own == same == again and hash(own) == hash(again) and own.key == again.key
     assert own != other and own != "oracle" and len({own, same, again, other}) == 2
-    assert pickle.loads(pickle.dumps(again)).key == own.key
+    assert dataclasses.replace(SHORT, estimator=function).estimator == own
     assert repr(own) == "Estimator('knows', memory of 0)"
+    named = rhec.Estimator(step_of(*PLAIN), label="UKF", colour="#123456")
+    assert named == other and label_of(other) == "mine" and label_of(named) == "UKF"
+    assert colour_of(pickle.loads(pickle.dumps(named))) == "#123456" != colour_of(other)
+    assert colour_of("rhe") == colour_of("RHE") != colour_of("ekf")
 
 
 # W, what it is told, and a first memory of its own
@@ -127,15 +107,3 @@ def test_it_replays_a_log_with_its_sensors_and_no_other():
     np.testing.assert_allclose(estimates["theta_hat_rad"], run.log["theta_rad"], atol=1e-9)
     with pytest.raises(ValueError, match=r"^sensors was \('gyro',\); the log has no numbers in"):
         rhec.replay(run.log.drop(columns="gyro_meas_radps"), estimator=own)
-
-
-def test_label_and_colour_are_those_of_its_function_or_its_own_and_change_no_run():
-    plain, named = (
-        rhec.Estimator(step_of(*PLAIN), **options)
-        for options in ({}, dict(label="UKF", colour="#123456"))
-    )
-    assert label_of(plain) == "mine" and colour_of(plain) == colour_of("mine")
-    assert label_of(named) == "UKF" and colour_of(named) == "#123456" != colour_of("UKF")
-    assert pickle.loads(pickle.dumps(named)).colour == named.colour
-    assert plain == named
-    assert colour_of("rhe") == colour_of("RHE") != colour_of("ekf")
