@@ -25,6 +25,7 @@ from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.robot_model import Model
 from rhec.logs import filtering, minimum
+from rhec.logs.causes import tried
 from rhec.logs.checks import refuse
 from rhec.logs.filtering import Loss
 from rhec.logs.judge import HIDDEN_S, hidden_errors
@@ -188,11 +189,9 @@ def calibrate_recorded(recording: Recording, position_delay_s: float = 0.0) -> C
     fit = _fitted(log, position_delay_s)
     log = log._replace(delay=_delay(log, fit))
     remarks = []
-    for hypothesis in _HYPOTHESES:
-        changed = hypothesis(log, fit)
-        if changed:
-            fit, remark = changed
-            remarks.append(remark)
+    for better, remark in tried(_HYPOTHESES, log, fit):
+        fit = better
+        remarks.append(remark)
     result = Calibration(_arguments(log, fit), _report(log, fit))
     result.remarks = remarks
     return result
