@@ -86,39 +86,10 @@ def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
         rhec.replay(log)
 
 
-@pytest.mark.parametrize(
-    "path, sentence",
-    [
-        ("/odm.pose.pose", r"begin with a topic and a point, and the bag has /drive \(fpn_msgs"),
-        (
-            "/odom.pose.position.x",
-            "a nav_msgs/msg/Odometry has no 'position' there: it has pose, c",
-        ),
-        ("/odom.pose.pose.position", "is no number: it has x, y, z"),
-        ("/odom.child_frame_id", "is no number: it is a str"),
-        ("/odom.pose.covariance", r"is no number: an array of 36, of which \[0\] is the first"),
-        ("/odom[0]", "has no array there: it has header, child_frame_id, pose, twist"),
-        ("/odom.pose..x", "it should end in fields and places in arrays, such as .pose"),
-        ("north", "^columns.*was 'north'; the log has t_s, "),
-    ],
-)
-def test_a_field_that_is_not_there_is_refused_with_what_is_there(tmp_path, path, sentence):
-    file = write_bag(tmp_path, "mcap", driven())
-    with pytest.raises(ValueError, match=sentence):
-        rhec.logs.read(file, columns={"x_m": path}, topics=("/odom",))
-
-
 def test_a_place_beyond_an_array_is_missing(tmp_path):
     file = write_bag(tmp_path, "mcap", driven())
     log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[7]"})
     assert log["wheel"].isna().all()
-
-
-def test_a_bag_without_topics_for_a_role_names_those_it_has(tmp_path):
-    messages = [each for each in driven() if each[0] == "/drive"]
-    with pytest.raises(ValueError, match=r"among /drive \(fpn_msgs.*x_m=/topic.field") as refused:
-        rhec.logs.read(write_bag(tmp_path, "mcap", messages))
-    assert "no topic for positions" in str(refused.value)
 
 
 # Axes and clocks

@@ -3,7 +3,6 @@
 import functools
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import may_be_unsure, recorded_log
 from scipy.signal import lfilter
@@ -136,21 +135,3 @@ def test_calibration_does_not_look_at_the_truth(calibrated):
     truth = log.columns[log.columns.str.contains("true")]
     assert len(truth) == 5
     assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found
-
-
-def test_noise_of_the_encoders_is_no_turn():
-    """Ten minutes straight on, with encoders that shake by 0.05 rad/s: their noise cancels."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0, 600, 0.2)
-    log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5))
-    log["yaw_rate_radps"] = 0.05 * rng.standard_normal(len(t))
-    log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
-    assert 0.2 * log["yaw_rate_radps"].abs().sum() > 20
-    with pytest.raises(ValueError, match="figures of eight"):
-        rhec.calibrate(log, trust_log=True)
-
-
-def test_a_robot_that_stands_cannot_be_calibrated():
-    log = recorded_log(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
-    with pytest.raises(ValueError, match="hardly moves"):
-        rhec.calibrate(log, trust_log=True)

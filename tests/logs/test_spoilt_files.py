@@ -6,9 +6,9 @@
 from functools import partial
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import TRACK_WIDTH_M, recorded_log
+from spoilt_logs import in_rows_of_their_own
 from written_bags import START_NS, fix, joint_state, odometry, twist, write_bag
 
 import rhec
@@ -26,13 +26,6 @@ def csv(log, **how):
     return log.to_csv(index=False, **how)
 
 
-def in_rows_of_their_own(log, offset_s):
-    """A log whose positions stand in other rows than its encoders, by a clock that is ahead."""
-    positions = log[["t_s", "x_m", "y_m"]].assign(t_s=log["t_s"] + offset_s)
-    both = pd.concat([log.drop(columns=["x_m", "y_m"]), positions])
-    return both.sort_values("t_s", kind="stable", ignore_index=True)
-
-
 BACK = "; what follows counts as another drive."
 MISSING = "The log had no column {}; it should have t_s, x_m, y_m, speed_mps, yaw_rate_radps"
 # name: (the file's text, [all that is said])
@@ -41,7 +34,7 @@ TABLES = {
     "in Latin-1, with a remark": (csv(TABLE.assign(remark="grün")).encode("latin-1"), []),
     "with a row of units": (csv(TABLE).replace("\n", "\ns,m,m,m/s,rad/s\n", 1), []),
     "cut in its last line": (csv(TABLE)[:-20], []),
-    "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE, 0.0)), []),
+    "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE)), []),
     "without rows": (csv(TABLE[:0]), ["Log was DataFrame without rows; it should be a DataFrame "
                                       "with rows."]),
     "without a header": (
