@@ -92,6 +92,34 @@ def test_a_place_beyond_an_array_is_missing(tmp_path):
     assert log["wheel"].isna().all()
 
 
+DECLARED = [((0.04, 0.16), 0.1**0.5), ((2.5e4, 2.5e4), np.nan), ((-1.0, -1.0), np.nan)]
+
+
+@pytest.mark.parametrize("variances, sigma_m", [*DECLARED, (None, np.nan)])
+def test_the_noise_that_a_receiver_declares_is_a_column(tmp_path, variances, sigma_m):
+    """Of x and y in the mean; NaN where it is unknown, or as large as what means that."""
+    messages = []
+    for row in range(N):
+        told = variances if row % 2 else (0.01, 0.01)
+        place = fix(46.78, 11.0 + 1e-6 * row, variances=told)
+        speeds = odometry(row, 0.0, 0.5, 0.1, told or (0.0, 0.0))
+        messages.append(("/fix", "sensor_msgs/msg/NavSatFix", at(row), place))
+        messages.append(("/odom", ODOMETRY, at(row), speeds))
+    bag = write_bag(tmp_path, "mcap", messages)
+    for topics in (("/fix", "/odom"), ("/odom",)):
+        declared = rhec.logs.read(bag, topics=topics)["position_sigma_m"]
+        np.testing.assert_allclose(declared[::2], 0.1)
+        np.testing.assert_allclose(declared[1::2], sigma_m)
+
+
+def test_a_user_may_name_the_joints_of_a_side(tmp_path):
+    bag, _ = recorded(tmp_path, "mcap", rows=20)
+    columns = dict(v_left_mps="-/joints.velocity[left]", v_right_mps="/joints.velocity[right]")
+    log = rhec.logs.read(bag, columns=columns, wheel_radius_m=0.5)
+    np.testing.assert_array_equal(log["v_left_mps"], -0.5 * np.arange(20))
+    np.testing.assert_array_equal(log["v_right_mps"], np.arange(20))
+
+
 # Axes and clocks
 
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 import rhec
 from rhec.logs import calibration
+from rhec.logs.causes import tried
 from rhec.logs.filtering import OUTLIER
 
 ARM_M = (0.25, -0.1)
@@ -135,3 +136,12 @@ def test_calibration_does_not_look_at_the_truth(calibrated):
     truth = log.columns[log.columns.str.contains("true")]
     assert len(truth) == 5
     assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found
+
+
+def test_a_hypothesis_that_holds_takes_the_place_of_what_was_assumed():
+    hypotheses = (
+        lambda log, best: (best + log, "more"),
+        lambda log, best: None,
+        lambda log, best: (10 * best, "ten times"),
+    )
+    assert [*tried(hypotheses, 2, 1)] == [(3, "more"), (30, "ten times")]

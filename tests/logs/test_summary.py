@@ -48,6 +48,8 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     assert page[5].startswith("Trust it.") and "rhec log FILE --calibrate" in page[5]
     assert page[6] == "Warnings: none."
     assert "x_true_m" in summary.taken["truth, unseen"]
+    value, low, high = (summary.parameters[name].astype(float) for name in ("value", "low", "high"))
+    assert ((low < value) & (value < high)).all()
     assert "position_sigma_m: at most 0.03, the least that is assumed" in summary.details
     assert "(--track-width-m)" in summary.details and "(--wheel-radius-m)" in summary.details
     told = json.loads(summary.to_json())
