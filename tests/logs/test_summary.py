@@ -215,6 +215,8 @@ OF_ROS = dict(
     ekf_filter_node=dict(two_d_mode=bool, process_noise_covariance=15 * 15),
 )
 
+STATE_OF_ROS = "x y z roll pitch yaw vx vy vz vroll vpitch vyaw ax ay az"
+
 
 def read_as_ros(text):
     """{node: parameters}, as rcl_yaml_param_parser and rclcpp read them.
@@ -257,12 +259,17 @@ def parameters(slope):
 
 
 def test_round_numbers_and_unknown_ones_are_what_ros_reads():
-    """A track 1 m wide, and a traction that is not known."""
+    """A track 1 m wide, and a traction that is not known; each noise is of its own velocity."""
     noise = terms.Noise((0.0, 1.0, 2.0), (1e-9, 1.0, 10.0))
     round_one = terms.Slope(1.0, 0.0)
     table = parameters(round_one)
     told = read_as_ros(terms.as_yaml(table, 1.0, noise, 10.0))
-    assert told["diff_drive_controller"]["wheel_separation"] == 1.0
+    driver, node = told["diff_drive_controller"], told["ekf_filter_node"]
+    assert driver["wheel_separation"] == 1.0
+    assert np.take(driver["twist_covariance_diagonal"], [0, 1, 5]).tolist() == [0.0, 10.0, 20.0]
+    variances = dict(zip(STATE_OF_ROS.split(), node["process_noise_covariance"][::16]))
+    assert [variances[name] for name in ("vx", "vy", "vyaw")] == [1e-9, 1.0, 10.0]
+    assert max(variances[name] for name in ("x", "y", "yaw")) < 1e-5
     unknown = terms.Slope(np.nan, np.nan)
     text = terms.as_yaml(parameters(unknown), 1.0, noise, 10.0)
     assert yaml.safe_load(text) is None and "too short" in text
