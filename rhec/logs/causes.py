@@ -150,13 +150,17 @@ def _never_turns(log, share):
     if turns_rad < _TURNS_RAD:
         return None
     column = log.columns[_OMEGA]
-    return share, refused(
-        f"the log's {column} is {omega.median():.3g} in all rows, but the path turns by "
-        f"{turns_rad:.2g} rad: nothing fills this column",
-        "empty_yaw_rate",
-        f"Take {column} from another topic, or from the speeds of both tracks with their distance "
-        "(--track-width-m).",
-    )
+    but = f"in all rows, but the path turns by {turns_rad:.2g} rad"
+    if column == log.columns[_NU]:  # the speeds of both tracks
+        fact = f"the log's {column} are as fast as each other {but}: both are of one track"
+        remedy = "Look where the log is written for the column of the other track."
+    else:
+        fact = f"the log's {column} is {omega.median():.3g} {but}: nothing fills this column"
+        remedy = (
+            f"Take {column} from another topic, or from the speeds of both tracks with their "
+            "distance (--track-width-m)."
+        )
+    return share, refused(fact, "empty_yaw_rate", remedy)
 
 
 def _of_the_map(log, share):

@@ -81,7 +81,11 @@ def _made_of(columns):
             f"; {', '.join(rpm)} are turns of wheels in a minute: v_left_mps and v_right_mps are "
             "their means on either side times 2 π/60 times the radius of the wheels"
         )
-    steps = [str(column) for column in columns if _INCREMENT.search(_plain_name(column))]
+    steps = [
+        str(column)
+        for column in columns
+        if any(map(_INCREMENT.search, (_plain_name(column), str(column).lower())))
+    ]
     if steps:
         return (
             f"; {', '.join(steps)} may be steps from row to row: divided by the time between rows "

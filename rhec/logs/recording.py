@@ -479,6 +479,8 @@ def _usable_rows(values, n_rows, dt_s):
     unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
     if period > MAX_PERIOD * dt_s:
         they = f"t_s may be in {unit}, or they" if unit else "they"
+        if 2 * len(values) <= n_rows:
+            they = f"t_s may be rounded, as {n_rows} rows have {len(values)} times, or they"
         raise ValueError(
             f"the log had rows {period:.3g} s apart (median); {they} should be at most {dt_s:g} s "
             "apart, if necessary with missing measurements"

@@ -137,6 +137,10 @@ WRONG = {
     "speed in km/h": (LOG.assign(speed_mps=3.6 * SPEED), "speed_mps may be in km/h .* 0.25 times"),
     "speed in cm/s": (LOG.assign(speed_mps=100 * SPEED), "speed_mps may be in cm/s and should"),
     "speed in mm/s": (LOG.assign(speed_mps=1e3 * SPEED), "speed_mps is 566 .*in another unit"),
+    "speed in knots": (
+        LOG.assign(speed_mps=1.944 * SPEED),
+        "^the positions go only 0.462 times as far as speed_mps says$",
+    ),
     "positions in mm": (LOG.assign(x_m=1e3 * X, y_m=1e3 * Y), MOVING.format("mm", 905)),
     "positions in cm": (LOG.assign(x_m=100 * X, y_m=100 * Y), MOVING.format("cm", 90.5)),
     "positions in feet": (LOG.assign(x_m=3.28 * X, y_m=3.28 * Y), MOVING.format("feet", 2.96)),
@@ -167,6 +171,10 @@ WRONG = {
     "rows twice": (
         pd.concat([LOG, LOG[::3]]).sort_values("t_s"),
         "25% of the rows have times that",
+    ),
+    "time in whole seconds": (
+        LOG.assign(t_s=np.floor(T)),
+        "rows 1 s apart .median.; t_s may be rounded, as 1500 rows have 150 times",
     ),
     "time missing": (LOG.assign(t_s=T.where(LOG.index % 5 > 0)), "20% of the rows have times that"),
     "a segment for each row": (LOG.assign(segment=range(1500)), "segment has 1500 values in 1500"),

@@ -42,12 +42,14 @@ TABLES = {
         [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4 "
          "(header: none, the names of the columns are 0, 1, 2 …); --columns t_s=NAME renames one."],
     ),
-    "two files pasted together": (
-        csv(TABLE) + csv(AGAIN),
-        [f"The time falls back by 149.9 s{BACK}"],
-    ),
     "pasted without the header": (
         csv(TABLE) + csv(AGAIN, header=False), [f"The time falls back by 149.9 s{BACK}"]
+    ),
+    "steps from row to row": (
+        csv(TABLE.rename(columns=dict(speed_mps="delta_s", yaw_rate_radps="delta_theta"))),
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, delta_s, "
+         "delta_theta; delta_s, delta_theta may be steps from row to row: divided by the time "
+         "between rows they are speeds; --columns speed_mps=NAME renames one."],
     ),
     "other names of the wheels' speeds": (
         csv(LOG[["t_s", "x_m", "y_m", *TRACKS]].set_axis(
@@ -65,6 +67,12 @@ def test_all_that_is_said_of_a_spoilt_table(tmp_path, name):
     file = tmp_path / "log.csv"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     assert [finding.sentence for finding in rhec.doctor(file).findings] == sentences
+
+
+def test_one_track_in_both_columns_is_named():
+    log = LOG[["t_s", "x_m", "y_m", *TRACKS]].assign(v_right_mps=LOG["v_left_mps"])
+    (said,) = rhec.doctor(log, track_width_m=TRACK_WIDTH_M).findings
+    assert said.fact.startswith("the log's v_left_mps, v_right_mps are as fast as each other in a")
 
 
 def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
@@ -159,11 +167,3 @@ def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
         "positions by GPS time": "by the recorder, because the headers of /fix and /joints have",
     }
     assert log.attrs["inferred"]["time"].startswith(clock.get(name, "by the headers"))
-
-
-def test_a_bag_that_was_cut_off_names_the_command_that_mends_it(tmp_path):
-    content = write_bag(tmp_path, "mcap", drive()).read_bytes()
-    file = tmp_path / "cut.mcap"
-    file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match=rf"mcap recover {file} -o NEW.mcap may repair it$"):
-        rhec.logs.read(file)
