@@ -125,6 +125,19 @@ def reverses():
     return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
 
 
+def starts_again_and_again():
+    """A robot that starts from rest along one curve, in which both speeds keep their ratio."""
+    t = np.arange(0, 400, 0.1)
+    speed = 0.6 * np.clip(t % 10 - 2, 0, 1)
+    sign = np.where(t % 20 < 10, 1, -1)
+    turn = 0.5 * sign * speed
+    yaw = np.cumsum(0.1 * KAPPA * turn)
+    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
+    place += 0.01 * RANDOM.standard_normal((2, len(t))).T @ [1, 1j]
+    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
+    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+
+
 REVERSES = reverses()
 HEADER = pd.DataFrame([dict(zip(LOG, LOG))])
 PASTED = pd.concat([LOG, HEADER, LOG.assign(x_m=X + 20)], ignore_index=True)
@@ -344,6 +357,7 @@ HEALTHY = {
     "simulated": LOG,
     "slower": recorded_log(5.0, 120.0, noise_m=0.03),
     "to and fro": REVERSES,
+    "starts again and again": starts_again_and_again(),
     "the example": EXAMPLE,
     "without noise": recorded_log(10.0, 100.0),
     "without slip": noisy(0.02, integrated()),
