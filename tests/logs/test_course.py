@@ -158,6 +158,15 @@ def test_bumps_of_a_course_are_no_side_slip():
         assert (course.yaw_sigma_rad(samples, 0.02) == 0).mean() > 0.95
 
 
+@pytest.mark.parametrize("offset_rad, sigma_rad", [(0.7, 0.0), (1.5, 1.28)])
+def test_a_yaw_that_is_not_along_the_course_is_doubted(offset_rad, sigma_rad):
+    """By √(offset² - (π/4)²); an antenna or slip may explain less."""
+    samples, _ = driven(0.0, 1.0, 0.02)
+    samples[ESTIMATE[2]] += offset_rad
+    sigma = course.yaw_sigma_rad(samples, 0.02)[600:]
+    np.testing.assert_allclose(sigma, sigma_rad, atol=0.05)
+
+
 def test_a_slip_that_begins_is_seen_within_a_minute():
     before, _ = driven(0.0, 10.0, 0.02, 0, duration_s=300.0)
     after, slip = driven(0.4, 10.0, 0.02, 1, duration_s=300.0)
