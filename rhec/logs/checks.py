@@ -269,18 +269,18 @@ def _check_encoders(recording):
     window = ratio.rolling(n)
     is_constant = window.std() < 1e-3 * window.mean().abs()
     one_side = is_constant & is_recorded & (nu.rolling(n).std() > 1e-3)
+    # Of a robot that starts from rest along one curve it seems so for a moment, each time.
+    run = (one_side != one_side.shift()).cumsum()
+    lasting = one_side & (one_side.groupby(run).transform("sum") > n // 2)
     for code, what, shows_0 in (
         ("encoders_dead", "both encoders show 0 while the positions move, for", dead),
-        ("track_dead", "the left encoder shows 0 for at least", one_side & (ratio > 0.2)),
-        ("track_dead", "the right encoder shows 0 for at least", one_side & (ratio < -0.2)),
+        ("track_dead", "the left encoder shows 0 for at least", lasting & (ratio > 0.2)),
+        ("track_dead", "the right encoder shows 0 for at least", lasting & (ratio < -0.2)),
     ):
-        # Of a robot that starts from rest along one curve it seems so for a moment, each time.
-        begins = shows_0 != shows_0.shift()
-        lasts = shows_0.groupby(begins.cumsum()).transform("sum") > n // 2
-        if lasts.any():
+        if shows_0.sum() > n // 2:
             yield warning(
                 code,
-                f"{what} {lasts.sum() * step_s:.0f} s",
+                f"{what} {shows_0.sum() * step_s:.0f} s",
                 "Look at the cable; mark these rows with encoders_ok = 0.",
             )
 
