@@ -79,11 +79,12 @@ def twist(store, speed, yaw_rate):
     return of(store, "geometry_msgs/Twist", linear=linear, angular=angular)
 
 
-def odometry(x, y, speed, yaw_rate):
+def odometry(x, y, speed, yaw_rate, variances=(0.0, 0.0)):
     def message(store, stamp):
         nothing = np.zeros(36)
+        of_pose = np.diag([*variances, 0.0, 0.0, 0.0, 0.0]).ravel()
         place = of(
-            store, "geometry_msgs/PoseWithCovariance", pose=pose(store, x, y), covariance=nothing
+            store, "geometry_msgs/PoseWithCovariance", pose=pose(store, x, y), covariance=of_pose
         )
         motion = of(
             store,
@@ -120,7 +121,10 @@ def joint_state(left, right):
     return message
 
 
-def fix(latitude, longitude, status=0, frame="map"):
+def fix(latitude, longitude, status=0, frame="map", variances=None):
+    """A NavSatFix that declares the variances (east, north) [m²] of its position, or none."""
+    east, north = variances or (0.0, 0.0)
+
     def message(store, stamp):
         known = of(store, "sensor_msgs/NavSatStatus", status=status, service=1)
         return of(
@@ -131,8 +135,8 @@ def fix(latitude, longitude, status=0, frame="map"):
             latitude=latitude,
             longitude=longitude,
             altitude=100.0,
-            position_covariance=np.zeros(9),
-            position_covariance_type=0,
+            position_covariance=np.diag([east, north, 0.0]).ravel(),
+            position_covariance_type=2 if variances else 0,
         )
 
     return message

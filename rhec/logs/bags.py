@@ -1,157 +1,191 @@
-"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table with one row for each time stamp."""
+"""ROS 1 and ROS 2 bags (.bag, .db3, .mcap) as a table with one row for each time stamp.
+
+A column is a field of messages, by a path such as `/odom.pose.pose.position.x`: a topic and, after
+it, names of fields behind points and places in arrays in brackets, such as `/wheels.velocity[0]`;
+`[left]` and `[right]` are the mean of the joints whose names are on that side. A path should end at
+a number. A time is a number of seconds, and a quaternion gives its yaw [rad]. A minus before the
+topic turns the sign, as for an IMU that is mounted upside down.
+
+What a user does not name is read from the topics whose types have a role, by the paths in _ROLES.
+"""
 
 import re
 import shlex
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from rhec.logs.bag_fields import fields_of, listed
 from rhec.logs.bag_files import files_of, messages, opened
 from rhec.simulation.columns import TRACKS
 
 MOST_VALUES = 20_000_000  # of a log; more would take minutes and gigabytes
-_POSITION = ["x_m", "y_m", "position_sigma_m"]
 _UNKNOWN_VARIANCE = 1e4  # [m²] variances as large stand for "unknown"
 _FILTERED = "filtered"  # in the name of a topic: an estimate that has seen the encoders
-_SPEEDS = ["speed_mps", "yaw_rate_radps"]
+_ONE_CLOCK_S = 1.0  # headers of one clock are received as late as each other, but for this
+_STEP = re.compile(r"\.(\w+)|\[(-?\d+|left|right)\]")
+_LONGEST = 12  # fields or topics that a message lists
 # Names of joints on the left and on the right, such as front_left_wheel, rl_wheel or l.
-_LEFT = re.compile(r"left|(^|_)[fmrb]?l(_|$)")
-_RIGHT = re.compile(r"right|(^|_)[fmrb]?r(_|$)")
-
-
-def _fix(message):
-    """Latitude, longitude [deg], altitude and standard deviation [m] of a NavSatFix.
-
-    All are NaN without a fix; the last is NaN where the receiver does not know it.
-    """
-    if message.status.status < 0:
-        return np.nan, np.nan, np.nan, np.nan
-    covariance = message.position_covariance
-    is_known = message.position_covariance_type > 0
-    sigma_m = _sigma(covariance[0], covariance[4]) if is_known else np.nan
-    return message.latitude, message.longitude, message.altitude, sigma_m
-
-
-def _position(message):
-    """Position (x, y) and standard deviation [m] of a pose with or without a covariance."""
-    position = getattr(message.pose, "pose", message.pose).position
-    covariance = getattr(message.pose, "covariance", None)
-    sigma_m = np.nan if covariance is None else _sigma(covariance[0], covariance[7])
-    return position.x, position.y, sigma_m
-
-
-def _sigma(variance_x, variance_y):
-    """Standard deviation [m] of either coordinate; NaN for variances that no sensor has."""
-    variance = (variance_x + variance_y) / 2
-    return float(np.sqrt(variance)) if 0 < variance < _UNKNOWN_VARIANCE else np.nan
-
-
-def _twist(message):
-    """Speed [m/s] and yaw rate [rad/s] of a twist with or without a covariance."""
-    twist = getattr(message.twist, "twist", message.twist)
-    return twist.linear.x, twist.angular.z
-
-
-def _wheels(message):
-    """Mean speeds of the wheels on the left and on the right [rad/s]."""
-    means = []
-    for side in (_LEFT, _RIGHT):
-        joints = zip(message.name, message.velocity)
-        speeds = [speed for name, speed in joints if side.search(name.lower())]
-        means.append(np.mean(speeds) if speeds else np.nan)
-    return tuple(means)
-
-
-def _imu(message):
-    """Yaw rate [rad/s] of an Imu about its z axis."""
-    return (message.angular_velocity.z,)
-
-
-# The message types of each role, in order of preference: the first one in the bag is read. A type
-# has the columns that it fills, and the function that reads their values.
+_SIDES = dict(
+    left=re.compile(r"left|(^|_)[fmrb]?l(_|$)"), right=re.compile(r"right|(^|_)[fmrb]?r(_|$)")
+)
+# Columns that become others: the status of a receiver, and the variances of x and y [m²].
+_STATUS, _VARIANCES, _IS_KNOWN = "status", ["variance_x", "variance_y"], "has_variances"
+_FIX = dict(
+    latitude=".latitude",
+    longitude=".longitude",
+    altitude=".altitude",
+    status=".status.status",
+    variance_x=".position_covariance[0]",
+    variance_y=".position_covariance[4]",
+    has_variances=".position_covariance_type",
+)
+_POSE = dict(
+    x_m=".pose.pose.position.x",
+    y_m=".pose.pose.position.y",
+    variance_x=".pose.covariance[0]",
+    variance_y=".pose.covariance[7]",
+)
+_SPEEDS = ["speed_mps", "yaw_rate_radps"]
+_TWIST = dict(zip(_SPEEDS, (".twist.linear.x", ".twist.angular.z")))
+# {role: {type of message: {column: path}}}; the first type that is in the bag is read.
 _ROLES = {
     "positions": {
-        "sensor_msgs/msg/NavSatFix": (
-            ["latitude", "longitude", "altitude", "position_sigma_m"],
-            _fix,
-        ),
-        "geometry_msgs/msg/PoseStamped": (_POSITION, _position),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (_POSITION, _position),
-        "nav_msgs/msg/Odometry": (_POSITION, _position),
+        "sensor_msgs/msg/NavSatFix": _FIX,
+        "geometry_msgs/msg/PoseStamped": dict(x_m=".pose.position.x", y_m=".pose.position.y"),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
+        "nav_msgs/msg/Odometry": _POSE,
     },
     "encoders": {
-        "sensor_msgs/msg/JointState": (TRACKS, _wheels),
-        "geometry_msgs/msg/TwistStamped": (_SPEEDS, _twist),
-        "nav_msgs/msg/Odometry": (_SPEEDS, _twist),
+        "sensor_msgs/msg/JointState": dict(zip(TRACKS, (".velocity[left]", ".velocity[right]"))),
+        "geometry_msgs/msg/TwistStamped": _TWIST,
+        "nav_msgs/msg/Odometry": {name: f".twist{path}" for name, path in _TWIST.items()},
     },
-    "gyro": {"sensor_msgs/msg/Imu": (["gyro_radps"], _imu)},
+    "gyro": {"sensor_msgs/msg/Imu": dict(gyro_radps=".angular_velocity.z")},
 }
 _OPTIONAL = ("gyro",)
-# The columns of which any pair, given as fields, fills a role.
+# The columns of which any pair, named by a user, fills a role.
 _FILLED_BY = {
-    "positions": (_POSITION[:2], ["latitude", "longitude"]),
+    "positions": (["x_m", "y_m"], ["latitude", "longitude"]),
     "encoders": (_SPEEDS, TRACKS),
     "gyro": (["gyro_radps"],),
 }
-_FIELDS_HELP = "--columns x_m=/topic.field reads fields of any type"
-_ONE_CLOCK_S = 1.0  # headers of one clock are received as late as each other, but for this
 
 
-@dataclass
-class _Reading:
-    """What is read from the messages of a topic."""
-
-    name: str  # a role, or the columns that fields fill
-    topic: str
-    columns: list
-    values: Callable  # message -> the values of the columns
-    stamps_ns: list = field(default_factory=list)  # by headers, 0 where one has no stamp
-    received_ns: list = field(default_factory=list)  # by the recorder
-    rows: list = field(default_factory=list)  # the values of each message
-
-    def take(self, message, received_ns):
-        """Append the values of a message and its times."""
-        self.stamps_ns.append(_stamp_ns(message))
-        self.received_ns.append(received_ns)
-        self.rows.append(self.values(message))
-
-    def table(self, times_ns, wheel_radius_m):
-        """The values as a table, indexed by time [ns]."""
-        table = pd.DataFrame(self.rows, times_ns, self.columns, dtype=float)
-        if wheel_radius_m is not None:
-            table[table.columns.intersection(TRACKS)] *= wheel_radius_m
-        return table
+# Fields
 
 
-def _stamp_ns(message):
-    """The time in a message's header [ns]; 0 without one, as in a header without a stamp."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return stamp.sec * 10**9 + stamp.nanosec if stamp else 0
+class _Field(NamedTuple):
+    """A field of the messages of a topic, as a column of a log."""
+
+    column: str
+    path: str  # what follows the topic
+    named: str  # topic and path, as the user gave them
+    msgtype: str
+    sign: int = 1
+
+    def value(self, message: Any) -> float:
+        """The number at the path in a message; NaN where an array has no such place.
+
+        Raises:
+            ValueError: If the message has no such field, or if it is no number.
+        """
+        value = message
+        for name, place in _STEP.findall(self.path):
+            try:
+                if name:
+                    value = getattr(value, name)
+                elif place in _SIDES:
+                    value = _mean_on(_SIDES[place], message.name, value)
+                else:
+                    value = value[int(place)]
+            except IndexError:
+                return np.nan
+            except (AttributeError, TypeError):
+                lacks = f"has no {repr(name) if name else 'array'} there"
+                raise ValueError(self._refused(lacks, value)) from None
+        number = _number(value)
+        if number is None:
+            raise ValueError(self._refused("is no number", value))
+        return self.sign * number
+
+    def _refused(self, problem, value):
+        named = f"columns[{self.column!r}] was {self.named!r}"
+        return f"{named}; a {self.msgtype} {problem}: {_contents(value)}"
 
 
-def _why_recorder(readings):
-    """Why the times of all topics are those of the recorder; "" where headers have one clock."""
-    readings = [each for each in readings if each.rows]
-    for each in readings:
-        unstamped = each.stamps_ns.count(0)
-        if unstamped:
-            return f"{unstamped} of {len(each.rows)} headers of {each.topic} have no stamp"
-    late_s = {
-        each.topic: float(np.median(np.subtract(each.received_ns, each.stamps_ns))) * 1e-9
-        for each in readings
-    }
-    apart_s = max(late_s.values(), default=0.0) - min(late_s.values(), default=0.0)
-    if apart_s > _ONE_CLOCK_S:
-        return f"the headers of {' and '.join(late_s)} have clocks {apart_s:.3g} s apart"
-    return ""
+def _mean_on(side, names, values):
+    """The mean of the values whose names are on a side; NaN without one."""
+    chosen = [value for name, value in zip(names, values) if side.search(name.lower())]
+    return np.mean(chosen) if chosen else np.nan
 
 
-# How its topics are chosen
+def _number(value):
+    """A number, a time [s] or the yaw of a quaternion [rad]; None for anything else."""
+    if isinstance(value, bool | int | float | np.number | np.bool_):
+        return float(value)
+    names = {*_names(value)}
+    if {"sec", "nanosec"} <= names:
+        return value.sec + 1e-9 * value.nanosec
+    if {"x", "y", "z", "w"} <= names:
+        sine = 2 * (value.w * value.z + value.x * value.y)
+        return float(np.arctan2(sine, 1 - 2 * (value.y**2 + value.z**2)))
+    return None
+
+
+def _names(value):
+    return [name for name in getattr(value, "__annotations__", {}) if not name.startswith("__")]
+
+
+def _contents(value):
+    """What there is instead, as the end of a sentence."""
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"an array of {len(value)}, of which [0] is the first entry"
+    names = _names(value)
+    return f"it has {', '.join(names[:_LONGEST])}" if names else f"it is a {type(value).__name__}"
+
+
+def _listed(types):
+    """The topics of a bag and their types, as part of a sentence."""
+    texts = [f"{name} ({kind})" for name, kind in types.items()]
+    more = [f"{len(texts) - _LONGEST} more"] if len(texts) > _LONGEST else []
+    return ", ".join([*texts[:_LONGEST], *more]) or "none"
+
+
+def _fields_by_topic(columns, types):
+    """{topic: its _Fields} among the columns that a user names.
+
+    Args:
+        columns: {column of a recording: path, or another column's name}.
+        types: {topic: type of its messages} of a bag.
+
+    Raises:
+        ValueError: If a path names no topic of the bag, or is none.
+    """
+    fields = {}
+    for column, given in columns.items():
+        path = given.removeprefix("-") if given.startswith("-/") else given
+        topic = next((name for name in types if path.startswith((f"{name}.", f"{name}["))), "")
+        rest = path[len(topic) :]
+        if not topic and not path.startswith("/"):
+            continue
+        if not topic:
+            wanted = f"begin with a topic and a point, and the bag has {_listed(types)}"
+        elif not re.fullmatch(f"({_STEP.pattern})+", rest):
+            wanted = "end in fields and places in arrays, such as .pose.position.x or .velocity[0]"
+        elif column == "t_s":
+            wanted = "not be given: the time of a bag's rows is that of its messages"
+        else:
+            sign = 1 if path == given else -1
+            field = _Field(column, rest, path, types[topic], sign)
+            fields.setdefault(topic, []).append(field)
+            continue
+        raise ValueError(f"columns[{column!r}] was {given!r}; it should {wanted}")
+    return fields
+
+
+# How topics are chosen for the roles
 
 
 def _topic_for(types, topics, role):
@@ -160,7 +194,10 @@ def _topic_for(types, topics, role):
     suitable = [name for name in topics or types if types[name] in kinds]
     if not suitable:
         readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
-        raise ValueError(f"no topic for {role} ({readable}) among {listed(types)}; {_FIELDS_HELP}")
+        raise ValueError(
+            f"no topic for {role} ({readable}) among {_listed(types)}; "
+            "--columns x_m=/topic.field reads fields of any type"
+        )
     best = min((types[name] for name in suitable), key=kinds.index)
     suitable = [name for name in suitable if types[name] == best]
     if topics is None and len(suitable) > 1:
@@ -193,16 +230,20 @@ def _refuse_chosen(types, chosen, are_named, wheel_radius_m):
         )
 
 
-def _choose(types, topics, fields, wheel_radius_m):
+def _choose(types, topics, given, wheel_radius_m):
     """{role: topic}, and {role: remark} where no topic has a role.
 
     Where a user names fields, these may be all that is wanted: what else cannot be chosen is left
     out then.
+
+    Args:
+        types: {topic: type of its messages}.
+        topics, wheel_radius_m: As in `rhec.logs.read`.
+        given: The columns that fields fill.
     """
     unknown = [name for name in topics or () if name not in types]
     if unknown:
         raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
-    given = {each.column for each in fields}
     chosen = {}
     remarks = {}
     for role, filling in _FILLED_BY.items():
@@ -214,31 +255,70 @@ def _choose(types, topics, fields, wheel_radius_m):
             chosen[role] = _topic_for(types, topics, role)
             _refuse_chosen(types, chosen, topics is not None, wheel_radius_m)
         except ValueError as refused:
-            if not fields and role not in _OPTIONAL:
+            if not given and role not in _OPTIONAL:
                 raise
             chosen.pop(role, None)
             remarks[role] = f"none: {refused}"
     return chosen, remarks
 
 
-def _readings(types, chosen, fields):
-    """The _Readings of {role: topic} and of the fields."""
-    readings = []
-    for role, topic in chosen.items():
-        readings.append(_Reading(role, topic, *_ROLES[role][types[topic]]))
-    for topic in dict.fromkeys(each.topic for each in fields):
-        of_topic = [each for each in fields if each.topic == topic]
-        columns = [each.column for each in of_topic]
-        readings.append(_Reading(", ".join(columns), topic, columns, partial(_values_of, of_topic)))
-    return readings
+# How messages are read
 
 
-def _values_of(fields, message):
-    """The values of fields of a message."""
-    return [each.value(message) for each in fields]
+class _Reading(NamedTuple):
+    """What is read from the messages of a topic."""
+
+    name: str  # a role, or the columns that fields fill
+    topic: str
+    fields: list
+    stamps_ns: list  # by headers, 0 where one has no stamp
+    received_ns: list  # by the recorder
+    rows: list  # the values of each message
+
+    def table(self, times_ns, wheel_radius_m):
+        """The values as a table, indexed by time [ns]; of equal times the first one counts."""
+        columns = [field.column for field in self.fields]
+        table = pd.DataFrame(self.rows, times_ns, columns, dtype=float)
+        if wheel_radius_m is not None:
+            table[table.columns.intersection(TRACKS)] *= wheel_radius_m
+        if self.name in _ROLES:
+            table = _with_sigma(table)
+        return table[~table.index.duplicated()]
 
 
-# How its messages are read
+def _with_sigma(table):
+    """A table of positions without those of no fix, and with σ [m] in place of variances."""
+    if _STATUS in table:
+        table[table[_STATUS] < 0] = np.nan
+        table.loc[~(table.pop(_IS_KNOWN) > 0), _VARIANCES] = np.nan
+        table = table.drop(columns=_STATUS)
+    if _VARIANCES[0] in table:
+        variance = table[_VARIANCES].mean(axis=1, skipna=False)
+        is_one = (variance > 0) & (variance < _UNKNOWN_VARIANCE)
+        table = table.drop(columns=_VARIANCES)
+        table["position_sigma_m"] = np.sqrt(variance.where(is_one))
+    return table
+
+
+def _stamp_ns(message):
+    """The time in a message's header [ns]; 0 without one, as in a header without a stamp."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return stamp.sec * 10**9 + stamp.nanosec if stamp else 0
+
+
+def _why_recorder(readings):
+    """Why the times of all topics are those of the recorder; "" where headers have one clock."""
+    late_s = {}
+    for each in readings:
+        if unstamped := each.stamps_ns.count(0):
+            return f"{unstamped} of {len(each.rows)} headers of {each.topic} have no stamp"
+        if each.rows:
+            late_ns = np.subtract(each.received_ns, each.stamps_ns)
+            late_s[each.topic] = 1e-9 * float(np.median(late_ns))
+    apart_s = max(late_s.values(), default=0.0) - min(late_s.values(), default=0.0)
+    if apart_s > _ONE_CLOCK_S:
+        return f"the headers of {' and '.join(late_s)} have clocks {apart_s:.3g} s apart"
+    return ""
 
 
 def _take_messages(bag, readings):
@@ -247,8 +327,10 @@ def _take_messages(bag, readings):
     for topic, received_ns, message in messages(bag, {reading.topic for reading in readings}):
         for reading in readings:
             if reading.topic == topic:  # an Odometry may have several roles
-                reading.take(message, received_ns)
-                n_values += len(reading.columns)
+                reading.stamps_ns.append(_stamp_ns(message))
+                reading.received_ns.append(received_ns)
+                reading.rows.append([field.value(message) for field in reading.fields])
+                n_values += len(reading.fields)
         if n_values > MOST_VALUES:
             raise ValueError(f"its topics have more than {MOST_VALUES} values")
 
@@ -256,37 +338,39 @@ def _take_messages(bag, readings):
 def _read(bag, topics, columns, wheel_radius_m):
     """The table of an open bag, with the columns of fields in its attrs, and what was inferred."""
     types = {name: topic.msgtype or "" for name, topic in bag.topics.items()}
-    fields = fields_of(columns, types)
-    chosen, inferred = _choose(types, topics, fields, wheel_radius_m)
-    readings = _readings(types, chosen, fields)
+    by_topic = _fields_by_topic(columns, types)
+    given = [field.column for fields in by_topic.values() for field in fields]
+    chosen, inferred = _choose(types, topics, {*given}, wheel_radius_m)
+    readings = []
+    for role, topic in chosen.items():
+        paths = _ROLES[role][types[topic]]
+        fields = [_Field(name, path, topic + path, types[topic]) for name, path in paths.items()]
+        readings.append(_Reading(role, topic, fields, [], [], []))
+    for topic, fields in by_topic.items():
+        name = ", ".join(field.column for field in fields)
+        readings.append(_Reading(name, topic, fields, [], [], []))
     _take_messages(bag, readings)
     why = _why_recorder(readings)
     inferred["time"] = f"by the recorder, because {why}" if why else "by the headers"
     table = pd.DataFrame()
-    for reading in readings:
-        times_ns = reading.received_ns if why else reading.stamps_ns
-        read = reading.table(times_ns, wheel_radius_m)
+    for each in readings:
+        times_ns = each.received_ns if why else each.stamps_ns
         disorder = int((np.diff(times_ns) < 0).sum())
-        kind = types[reading.topic]
-        inferred[reading.name] = (
-            f"{reading.topic}, {kind}, {len(read)} messages, {disorder} out of order"
-        )
-        table = table.join(read[~read.index.duplicated()], how="outer")
+        told = f"{types[each.topic]}, {len(times_ns)} messages, {disorder} out of order"
+        inferred[each.name] = f"{each.topic}, {told}"
+        table = table.join(each.table(times_ns, wheel_radius_m), how="outer")
     if not len(table):
         raise ValueError(f"no message on {', '.join(each.topic for each in readings)}")
     if "position_sigma_m" in table and table["position_sigma_m"].isna().all():
         table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
     table = table.reset_index(drop=True)
-    table.attrs["fields"] = [each.column for each in fields]
+    table.attrs["fields"] = given
     read_topics = {reading.topic for reading in readings}
     unread = {name: kind for name, kind in types.items() if name not in read_topics}
     if unread:
-        inferred["other topics"] = listed(unread)
+        inferred["other topics"] = _listed(unread)
     return table, inferred
-
-
-# Files
 
 
 def read_bag(

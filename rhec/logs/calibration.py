@@ -25,6 +25,7 @@ from rhec import paper
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.core.model.robot_model import Model
 from rhec.logs import filtering, minimum
+from rhec.logs.causes import tried
 from rhec.logs.checks import refuse
 from rhec.logs.filtering import Loss
 from rhec.logs.judge import HIDDEN_S, hidden_errors
@@ -33,7 +34,7 @@ from rhec.logs.model_calibration import calibrate_model
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import Recording, delayed, prepare, travelled, with_ages
+from rhec.logs.recording import LEAST_TURNED_RAD, Recording, delayed, prepare, turned_rad, with_ages
 from rhec.logs.replay import InitialGuess, estimate_samples, refuse_with_model, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
@@ -61,8 +62,6 @@ _SIGMA_INPUT = 10.0
 _SETTLED_M = 3.0  # positions count from this distance on, where the yaw has converged
 _DETERMINED_ARM_M = 0.05  # largest standard deviation of a position of the antenna that is used
 _LEAST_POSITIONS = 50
-_LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
-_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
 # Errors of positions that wander are taken for slip and noise of the encoders. Positions so far
 # apart show the wander as noise; fewer than these do not determine the other noise. On four logs
 # of robots and on simulated white noise (tests/logs/test_calibrate.py) the noise of positions apart
@@ -188,11 +187,9 @@ def calibrate_recorded(recording: Recording, position_delay_s: float = 0.0) -> C
     fit = _fitted(log, position_delay_s)
     log = log._replace(delay=_delay(log, fit))
     remarks = []
-    for hypothesis in _HYPOTHESES:
-        changed = hypothesis(log, fit)
-        if changed:
-            fit, remark = changed
-            remarks.append(remark)
+    for better, remark in tried(_HYPOTHESES, log, fit):
+        fit = better
+        remarks.append(remark)
     result = Calibration(_arguments(log, fit), _report(log, fit))
     result.remarks = remarks
     return result
@@ -437,12 +434,12 @@ def _widened(fields, has_sensors):
 
 def _refuse_straight(recording):
     """Raise a ValueError for a log without turns, which determines no κ."""
-    turned = travelled(recording.rows, MEASUREMENTS[3], _TURNING_S)
-    if turned < _LEAST_TURNED_RAD:
+    turned = turned_rad(recording.rows)
+    if turned < LEAST_TURNED_RAD:
         column = recording.columns[MEASUREMENTS[3]]
         raise ValueError(
             f"the log had turns of {turned:.2g} rad in all, by {column}; a calibration needs at "
-            f"least {_LEAST_TURNED_RAD:.2g} rad: drive two figures of eight"
+            f"least {LEAST_TURNED_RAD:.2g} rad: drive two figures of eight"
         )
 
 

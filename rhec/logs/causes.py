@@ -1,12 +1,14 @@
-"""What explains a log better than slip: faults of its columns, each tried by what it explains.
+"""What explains a log better than what was assumed of it: hypotheses, tried one after the other.
 
-A hypothesis undoes one fault of the encoders. It is named if the motion without the fault explains
-nearly all of the path's squares where the log as it is does not, so that a robot that only slips is
-never accused. `path_checks` says what is explained.
+`calibration` tries what may be true of a healthy log. The faults here are of its columns: each is
+undone, and is named if the motion without it explains nearly all of the path's squares where the
+log as it is does not, so that a robot that only slips is never accused. `path_checks` says what is
+explained.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,21 +31,29 @@ _OUTLIER = 3.0  # times the farthest way by the encoders
 _ALONG_ONE_AXIS = 0.8  # mean length of (cos 2γ, sin 2γ) of a course γ that hardly varies
 
 
+def tried(hypotheses: tuple[Callable, ...], log: Any, best: Any) -> Iterator[tuple[Any, Any]]:
+    """The hypotheses that hold, one after the other: what explains the log then, and what is said.
+
+    Args:
+        hypotheses: Functions of the log and of what explains it best until then. They return what
+            explains it better and what is said of that, or None if they do not hold.
+        log: What is to be explained.
+        best: What explains it without a hypothesis.
+    """
+    for hypothesis in hypotheses:
+        found = hypothesis(log, best)
+        if found:
+            best, said = found
+            yield best, said
+
+
 class _Log(NamedTuple):
-    """What hypotheses are made of."""
+    """What is to be explained."""
 
     rows: pd.DataFrame
     width_m: float
     columns: dict  # {name in the rows: column of the log}
     kappa: float  # of the log as it is, at least 0
-
-
-class _Hypothesis(NamedTuple):
-    """A fault of the encoders."""
-
-    undone: Callable  # _Log -> rows without the fault, or None where it cannot be
-    fact: str  # with {speed}, {yaw_rate}
-    remedy: str
 
 
 def explained(rows):
@@ -52,21 +62,12 @@ def explained(rows):
     Of the lengths of intervals that counts which explains most. None for a short log.
     """
     tracks = tracks_of(rows)
-    if not tracks:
-        return None
-    best = None
-    for length_s in LENGTHS_S:
-        found = compare(tracks, length_s, 0.0)
-        if found is None:
-            break
-        mu, kappa, unexplained = found
-        share = 1 - unexplained.sum() / 2
-        if best is None or share > best[2]:
-            best = mu, kappa, share
-    return best
+    compared = [compare(tracks, length_s, 0.0) for length_s in LENGTHS_S] if tracks else []
+    shares = [(mu, kappa, 1 - left.sum() / 2) for mu, kappa, left in filter(None, compared)]
+    return max(shares, key=lambda each: each[2], default=None)
 
 
-# The hypotheses
+# Faults that can be undone
 
 
 def _one_side(sign):
@@ -111,31 +112,6 @@ def _turn_with_sign(log):
     return log.rows.assign(**{_OMEGA: np.sign(at) * omega})
 
 
-_HYPOTHESES = (
-    _Hypothesis(
-        _one_side(1.0),
-        "the left encoder may count backwards",
-        "Turn the sign of the left encoder where the log is written. The columns of speed and yaw "
-        "rate may also have been exchanged.",
-    ),
-    _Hypothesis(
-        _one_side(-1.0),
-        "the right encoder may count backwards",
-        "Turn the sign of the right encoder where the log is written.",
-    ),
-    _Hypothesis(
-        _with_sign,
-        "the log's {speed} has no sign: the robot drives backwards, too, and it is never negative",
-        "Log the signed speed, or give it the sign of the command.",
-    ),
-    _Hypothesis(
-        _turn_with_sign,
-        "the log's {yaw_rate} has no sign: the path turns to both sides, and it is never negative",
-        "Log the signed yaw rate, counter-clockwise.",
-    ),
-)
-
-
 # The path alone
 
 
@@ -163,8 +139,8 @@ def _vertices(log):
     return pd.concat(parts, ignore_index=True)
 
 
-def _never_turns(log):
-    """The Finding of a yaw rate that never changes while the path turns."""
+def _never_turns(log, share):
+    """A yaw rate that never changes while the path turns."""
     omega = log.rows[_OMEGA].dropna()
     if np.ptp(omega) > _EMPTY:
         return None
@@ -174,17 +150,21 @@ def _never_turns(log):
     if turns_rad < _TURNS_RAD:
         return None
     column = log.columns[_OMEGA]
-    return refused(
-        f"the log's {column} is {omega.median():.3g} in all rows, but the path turns by "
-        f"{turns_rad:.2g} rad: nothing fills this column",
-        "empty_yaw_rate",
-        f"Take {column} from another topic, or from the speeds of both tracks with their distance "
-        "(--track-width-m).",
-    )
+    but = f"in all rows, but the path turns by {turns_rad:.2g} rad"
+    if column == log.columns[_NU]:  # the speeds of both tracks
+        fact = f"the log's {column} are as fast as each other {but}: both are of one track"
+        remedy = "Look where the log is written for the column of the other track."
+    else:
+        fact = f"the log's {column} is {omega.median():.3g} {but}: nothing fills this column"
+        remedy = (
+            f"Take {column} from another topic, or from the speeds of both tracks with their "
+            "distance (--track-width-m)."
+        )
+    return share, refused(fact, "empty_yaw_rate", remedy)
 
 
-def _of_the_map(log):
-    """The Finding of a speed that is that along an axis of the map, not along the robot."""
+def _of_the_map(log, share):
+    """A speed that is that along an axis of the map, not along the robot."""
     parts = []
     for track in tracks_of(log.rows):
         at = np.arange(track.t[0], track.t[-1], LENGTHS_S[1])
@@ -205,12 +185,62 @@ def _of_the_map(log):
     of_way = 1 - (np.abs(n) @ way) ** 2 / (squares * (way @ way))
     if not len(left) or left[0] > min((1 - _GOOD) * squares, of_way * squares / _BETTER):
         return None
-    return refused(
+    return share, refused(
         f"the log's {log.columns[_NU]} is the speed along a fixed direction of the map, "
         f"{np.angle(b[0] + 1j * b[1]):.2g} rad from the x axis, not the speed ahead",
         "twist_of_the_map",
         "Log the twist in the frame of the robot (its child_frame_id), or turn it by the yaw.",
     )
+
+
+def _undone(undo, fact, remedy):
+    """The hypothesis of a fault of the encoders.
+
+    Args:
+        undo: _Log -> rows without the fault, or None where it cannot be.
+        fact, remedy: What is said of it, with {speed}, {yaw_rate}.
+    """
+
+    def hypothesis(log, share):
+        rows = undo(log)
+        found = None if rows is None else explained(rows)
+        if not found or found[1].value <= 0 or found[2] <= max(_GOOD, 1 - (1 - share) / _BETTER):
+            return None
+        named = fact.format(speed=log.columns[_NU], yaw_rate=log.columns[_OMEGA])
+        told = (
+            f"{named}: so the encoders explain {found[2]:.0%} of the path, and as they are "
+            f"{max(share, 0):.0%}"
+        )
+        return found[2], refused(told, "sign", remedy)
+
+    return hypothesis
+
+
+_HYPOTHESES = (
+    _never_turns,
+    _of_the_map,
+    _undone(
+        _one_side(1.0),
+        "the left encoder may count backwards",
+        "Turn the sign of the left encoder where the log is written. The columns of speed and yaw "
+        "rate may also have been exchanged.",
+    ),
+    _undone(
+        _one_side(-1.0),
+        "the right encoder may count backwards",
+        "Turn the sign of the right encoder where the log is written.",
+    ),
+    _undone(
+        _with_sign,
+        "the log's {speed} has no sign: the robot drives backwards, too, and it is never negative",
+        "Log the signed speed, or give it the sign of the command.",
+    ),
+    _undone(
+        _turn_with_sign,
+        "the log's {yaw_rate} has no sign: the path turns to both sides, and it is never negative",
+        "Log the signed yaw rate, counter-clockwise.",
+    ),
+)
 
 
 def find(recording):
@@ -221,29 +251,6 @@ def find(recording):
             return
         kappa = max(as_it_is[1].value, 0.0)
         log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)
-        found = _never_turns(log) or _found(log, as_it_is[2])
-    if found:
-        yield found
-
-
-def _found(log, share):
-    """The Finding of the fault that explains a log, of which now `share` is explained; or None."""
-    least = max(_GOOD, 1 - (1 - share) / _BETTER)
-    if of_the_map := _of_the_map(log):
-        return of_the_map
-    best = None
-    for hypothesis in _HYPOTHESES:
-        rows = hypothesis.undone(log)
-        tried = None if rows is None else explained(rows)
-        if tried and tried[1].value > 0 and tried[2] > (best[0] if best else least):
-            best = tried[2], hypothesis
-    if best is None:
-        return None
-    explains, hypothesis = best
-    fact = hypothesis.fact.format(speed=log.columns[_NU], yaw_rate=log.columns[_OMEGA])
-    return refused(
-        f"{fact}: so the encoders explain {explains:.0%} of the path, and as they are "
-        f"{max(share, 0):.0%}",
-        "sign",
-        hypothesis.remedy,
-    )
+        found = [*islice(tried(_HYPOTHESES, log, as_it_is[2]), 1)]
+    for _, finding in found:
+        yield finding

@@ -1,12 +1,13 @@
-"""Names of columns: what other loggers call them, and the message for a log that lacks some."""
+"""The columns of a recording: what others call them, and what is said of a log that lacks some."""
 
 import re
 import shlex
 
-from rhec.simulation.columns import RECORDED, TRACKS
+from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, TRACKS
 
-# Names that other loggers use, in lower case and without the unit; the most likely name first.
-# Those of the time and of latitude, longitude and altitude are read, the others are suggested.
+# The columns of a recording, and names that other loggers use for them, in lower case and without
+# the unit; the most likely name first. Those of the time and of latitude, longitude and altitude
+# are read, the others are suggested.
 OTHER_NAMES = {
     "t_s": ("t", "time", "stamp", "timestamp", "date_time", "datetime", "seconds", "__time"),
     "latitude": ("latitude", "lat"),
@@ -18,6 +19,7 @@ OTHER_NAMES = {
     "yaw_rate_radps": ("yaw_rate", "yawrate", "omega", "w", "wz", "angular_z"),
     "v_left_mps": ("v_left", "v_l", "vl", "left_speed", "speed_left", "left_wheel_speed"),
     "v_right_mps": ("v_right", "v_r", "vr", "right_speed", "speed_right", "right_wheel_speed"),
+    **dict.fromkeys(("segment", "pos_ok", "encoders_ok", *RECORDED_SENSORS.values()), ()),
 }
 _UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
 _RPM = re.compile(r"(^|_)rpm(_|$)")
@@ -25,7 +27,13 @@ _INCREMENT = re.compile(r"(^|_)(d|delta_?)(x|y|s|t|theta|yaw|dist\w*)(_|$)|^dist
 _LONGEST = 300  # characters of a list of columns in a message
 
 
-def plain_name(column):
+def unit_of(column):
+    """The unit in a column's name, or ""."""
+    unit = _UNIT.search(str(column).strip().lower())
+    return unit[1] if unit else ""
+
+
+def _plain_name(column):
     """A column's name in lower case, without its unit; what stood in a path is joined by _."""
     name = _UNIT.sub("", str(column).strip().lower())
     return re.sub(r"[ /.]+", "_", name).lstrip("_") if name != "__time" else name
@@ -39,8 +47,8 @@ def column_of(columns, name, endings=False):
         name: The quantity.
         endings: Whether a path may also end so, as `/odom/twist/twist/linear/x` ends in linear_x.
     """
-    by_plain_name = {plain_name(column): str(column) for column in reversed(list(columns))}
-    others = (plain_name(name), *OTHER_NAMES.get(name, ()))
+    by_plain_name = {_plain_name(column): str(column) for column in reversed(list(columns))}
+    others = (_plain_name(name), *OTHER_NAMES.get(name, ()))
     for other in others:
         if other in by_plain_name:
             return by_plain_name[other]
@@ -67,13 +75,17 @@ def _suggestions(missing, columns):
 
 def _made_of(columns):
     """How to make speeds of columns that hold something else, a sentence; "" for none."""
-    rpm = [str(column) for column in columns if _RPM.search(plain_name(column))]
+    rpm = [str(column) for column in columns if _RPM.search(_plain_name(column))]
     if rpm:
         return (
             f"; {', '.join(rpm)} are turns of wheels in a minute: v_left_mps and v_right_mps are "
             "their means on either side times 2 π/60 times the radius of the wheels"
         )
-    steps = [str(column) for column in columns if _INCREMENT.search(plain_name(column))]
+    steps = [
+        str(column)
+        for column in columns
+        if any(map(_INCREMENT.search, (_plain_name(column), str(column).lower())))
+    ]
     if steps:
         return (
             f"; {', '.join(steps)} may be steps from row to row: divided by the time between rows "

@@ -40,7 +40,8 @@ _GPS_AHEAD_S = 18  # of UTC, since 2017
 # high because correlated errors of neighbouring intervals make the standard errors too small.
 _STANDARD_ERRORS = 9.0
 _MOST_TRACTION = 1.05  # a larger μ or κ is none
-_ERRORS = 5.0  # standard errors by which it must be larger
+_LEAST_TRACTION = 0.55  # a smaller μ is hardly slip: a knot is 0.51 m/s, a mile an hour 0.45 m/s
+_ERRORS = 5.0  # standard errors by which it must be larger or smaller
 # Positions that are the integral of the encoders are explained by them so well.
 _OWN_SHARE = 0.999
 _OWN_SLOPE = 0.003  # difference of μ and κ from 1
@@ -53,6 +54,7 @@ class _Check(NamedTuple):
     least_share: float  # of the squares that the slope must explain to be judged
     causes: dict  # {upper limit of the slope: cause}; None for the range that is plausible
     above: tuple  # code, fact and remedy of a slope above 1
+    least: float = 0.0  # a smaller slope is in doubt
 
 
 _CHECKS = (
@@ -75,6 +77,7 @@ _CHECKS = (
             "other way",
             "The wheel radius or the encoders' scale is too small.",
         ),
+        _LEAST_TRACTION,
     ),
     _Check(
         "the path of {place} turns {times:.3g} times as far as {yaw_rate} says",
@@ -278,6 +281,13 @@ def check_path(recording):
             yield refused(f"the log's {cause}: {check.measured}".format(**named))
         elif slope.share > 0.3 and slope.value - _ERRORS * slope.sigma > _MOST_TRACTION:
             yield note(*(text.format(**named) for text in check.above))
+        elif slope.share > 0.3 and slope.value + _ERRORS * slope.sigma < check.least:
+            yield warning(
+                "scale_of_speed",
+                f"the positions go only {slope.value:.3g} times as far as {speed} says",
+                "Half of it would be slip: see whether it is in knots or miles an hour, or of "
+                "wheels that are smaller than was assumed.",
+            )
     if is_late and motion.delay_s > 0:
         yield warning(
             "late_positions",

@@ -19,9 +19,8 @@ from rhec import paper
 from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
-from rhec.logs.column_names import column_of
+from rhec.logs.column_names import OTHER_NAMES, column_of, unit_of
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
-from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, TRACKS
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
@@ -34,9 +33,6 @@ _THOUSANDS = {
     ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
     ".": re.compile(r"(?<![\d.,])\d{1,3}(\.\d{3})+,\d"),
 }
-_OF_A_RECORDING = {"t_s", "segment", "pos_ok", "encoders_ok", "latitude", "longitude", *TRACKS}
-_OF_A_RECORDING |= {*RECORDED.values(), *RECORDED_SENSORS.values()}
-_UNIT_OF_TIME = re.compile(r"[ _(\[]+(s|ms|us|ns)[)\]]*$", re.IGNORECASE)
 _MAX_PERIOD_S = MAX_PERIOD * paper.DT_S
 # The ellipsoid WGS 84
 _AXIS_M = 6378137.0
@@ -325,7 +321,7 @@ def _read_parquet(file, columns):
     with pq.ParquetFile(file) as parquet:
         schema = parquet.schema_arrow
         names = [each.name for each in schema if _is_number(each.type)]
-        wanted = {name.removeprefix("-") for name in columns.values()} | _OF_A_RECORDING
+        wanted = {name.removeprefix("-") for name in columns.values()} | {*OTHER_NAMES}
         left_out = [name for name in schema.names if name in wanted and name not in names]
         if left_out:
             raise ValueError(
@@ -406,9 +402,8 @@ def _unit(name, times):
     """The unit in the name of a time column or, if rows would then be too far apart, by values."""
     t = times.to_numpy(dtype=float, na_value=np.nan)
     unit, period = time_unit(t, _MAX_PERIOD_S)
-    in_name = _UNIT_OF_TIME.search(name)
-    of_name = in_name[1].lower() if in_name else ""
-    if of_name and (unit is None or period * SECONDS[of_name] <= _MAX_PERIOD_S):
+    of_name = unit_of(name)
+    if of_name in SECONDS and (unit is None or period * SECONDS[of_name] <= _MAX_PERIOD_S):
         return of_name
     return unit or "s"
 

@@ -41,6 +41,8 @@ POSITION_AGE = "position_age_s"
 # What a sample has as its newest measurement; of MEANS it has the mean over its interval.
 _MEASURED = (*MEASUREMENTS, *SENSORS.values())
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
+LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
+_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
@@ -181,6 +183,11 @@ def travelled(rows, column, window_s=None):
     if window_s:
         moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
     return float(moves.abs().sum())
+
+
+def turned_rad(rows):
+    """How far the tracks turn a robot in all, to the left and to the right, without their noise."""
+    return travelled(rows, _ENCODERS[1], _TURNING_S)
 
 
 def prepare_for(model, dt_s, log, delays_s=None):
@@ -475,6 +482,8 @@ def _usable_rows(values, n_rows, dt_s):
     unit, period = time_unit(values["t_s"].to_numpy(), MAX_PERIOD * dt_s)
     if period > MAX_PERIOD * dt_s:
         they = f"t_s may be in {unit}, or they" if unit else "they"
+        if 2 * len(values) <= n_rows:
+            they = f"t_s may be rounded, as {n_rows} rows have {len(values)} times, or they"
         raise ValueError(
             f"the log had rows {period:.3g} s apart (median); {they} should be at most {dt_s:g} s "
             "apart, if necessary with missing measurements"

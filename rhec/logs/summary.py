@@ -22,7 +22,7 @@ from rhec.logs.finding import Severity
 from rhec.logs.judge import HIDDEN_S, judge
 from rhec.logs.likelihood import Calibration
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import Recording, delayed, prepare, travelled
+from rhec.logs.recording import LEAST_TURNED_RAD, Recording, delayed, prepare, turned_rad
 from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMAS_OF_SENSORS
 from rhec.simulation.scenario import Scenario
@@ -31,7 +31,6 @@ from rhec.tracked_robot.tuning import sigma_v_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _LEAST_HIDDEN = 3  # stretches of hidden positions; fewer are no test
 # A larger factor of σ says that something happens of which the estimator knows nothing.
 _MOST_INFLATED = 4.0
@@ -331,7 +330,7 @@ def _taken(log, recording=None):
 
 def _doubts(recording, diagnosis, traction, numbers, smoothed, found):
     """Why not to trust the estimates and what helps, sentences, the strongest doubt first."""
-    is_excited = travelled(recording.rows, MEASUREMENTS[3]) >= _LEAST_TURNED_RAD
+    is_excited = turned_rad(recording.rows) >= LEAST_TURNED_RAD
     if not is_excited:
         yield "κ is not excited: drive two figures of eight"
     for name in ("μ", "κ") if is_excited else ("μ",):

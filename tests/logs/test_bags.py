@@ -86,39 +86,38 @@ def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
         rhec.replay(log)
 
 
-@pytest.mark.parametrize(
-    "path, sentence",
-    [
-        ("/odm.pose.pose", r"begin with a topic and a point, and the bag has /drive \(fpn_msgs"),
-        (
-            "/odom.pose.position.x",
-            "a nav_msgs/msg/Odometry has no 'position' there: it has pose, c",
-        ),
-        ("/odom.pose.pose.position", "is no number: it has x, y, z"),
-        ("/odom.child_frame_id", "is no number: it is a str"),
-        ("/odom.pose.covariance", r"is no number: an array of 36, of which \[0\] is the first"),
-        ("/odom[0]", "has no array there: it has header, child_frame_id, pose, twist"),
-        ("/odom.pose..x", "it should end in fields and places in arrays, such as .pose"),
-        ("north", "^columns.*was 'north'; the log has t_s, "),
-    ],
-)
-def test_a_field_that_is_not_there_is_refused_with_what_is_there(tmp_path, path, sentence):
-    file = write_bag(tmp_path, "mcap", driven())
-    with pytest.raises(ValueError, match=sentence):
-        rhec.logs.read(file, columns={"x_m": path}, topics=("/odom",))
-
-
 def test_a_place_beyond_an_array_is_missing(tmp_path):
     file = write_bag(tmp_path, "mcap", driven())
     log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[7]"})
     assert log["wheel"].isna().all()
 
 
-def test_a_bag_without_topics_for_a_role_names_those_it_has(tmp_path):
-    messages = [each for each in driven() if each[0] == "/drive"]
-    with pytest.raises(ValueError, match=r"among /drive \(fpn_msgs.*x_m=/topic.field") as refused:
-        rhec.logs.read(write_bag(tmp_path, "mcap", messages))
-    assert "no topic for positions" in str(refused.value)
+DECLARED = [((0.04, 0.16), 0.1**0.5), ((2.5e4, 2.5e4), np.nan), ((-1.0, -1.0), np.nan)]
+
+
+@pytest.mark.parametrize("variances, sigma_m", [*DECLARED, (None, np.nan)])
+def test_the_noise_that_a_receiver_declares_is_a_column(tmp_path, variances, sigma_m):
+    """Of x and y in the mean; NaN where it is unknown, or as large as what means that."""
+    messages = []
+    for row in range(N):
+        told = variances if row % 2 else (0.01, 0.01)
+        place = fix(46.78, 11.0 + 1e-6 * row, variances=told)
+        speeds = odometry(row, 0.0, 0.5, 0.1, told or (0.0, 0.0))
+        messages.append(("/fix", "sensor_msgs/msg/NavSatFix", at(row), place))
+        messages.append(("/odom", ODOMETRY, at(row), speeds))
+    bag = write_bag(tmp_path, "mcap", messages)
+    for topics in (("/fix", "/odom"), ("/odom",)):
+        declared = rhec.logs.read(bag, topics=topics)["position_sigma_m"]
+        np.testing.assert_allclose(declared[::2], 0.1)
+        np.testing.assert_allclose(declared[1::2], sigma_m)
+
+
+def test_a_user_may_name_the_joints_of_a_side(tmp_path):
+    bag, _ = recorded(tmp_path, "mcap", rows=20)
+    columns = dict(v_left_mps="-/joints.velocity[left]", v_right_mps="/joints.velocity[right]")
+    log = rhec.logs.read(bag, columns=columns, wheel_radius_m=0.5)
+    np.testing.assert_array_equal(log["v_left_mps"], -0.5 * np.arange(20))
+    np.testing.assert_array_equal(log["v_right_mps"], np.arange(20))
 
 
 # Axes and clocks

@@ -3,13 +3,13 @@
 import functools
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import may_be_unsure, recorded_log
 from scipy.signal import lfilter
 
 import rhec
 from rhec.logs import calibration
+from rhec.logs.causes import tried
 from rhec.logs.filtering import OUTLIER
 
 ARM_M = (0.25, -0.1)
@@ -138,19 +138,10 @@ def test_calibration_does_not_look_at_the_truth(calibrated):
     assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found
 
 
-def test_noise_of_the_encoders_is_no_turn():
-    """Ten minutes straight on, with encoders that shake by 0.05 rad/s: their noise cancels."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0, 600, 0.2)
-    log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5))
-    log["yaw_rate_radps"] = 0.05 * rng.standard_normal(len(t))
-    log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
-    assert 0.2 * log["yaw_rate_radps"].abs().sum() > 20
-    with pytest.raises(ValueError, match="figures of eight"):
-        rhec.calibrate(log, trust_log=True)
-
-
-def test_a_robot_that_stands_cannot_be_calibrated():
-    log = recorded_log(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
-    with pytest.raises(ValueError, match="hardly moves"):
-        rhec.calibrate(log, trust_log=True)
+def test_a_hypothesis_that_holds_takes_the_place_of_what_was_assumed():
+    hypotheses = (
+        lambda log, best: (best + log, "more"),
+        lambda log, best: None,
+        lambda log, best: (10 * best, "ten times"),
+    )
+    assert [*tried(hypotheses, 2, 1)] == [(3, "more"), (30, "ten times")]

@@ -139,21 +139,6 @@ def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
     assert result["theta_hat_rad"].diff().abs().max() < 0.5
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (dict(sensors=("gyro",)), "no numbers in a column gyro_radps"),
-        (dict(sensors=("compass",)), "sensors"),
-        (dict(sensors=("heading",), estimator="ekf"), "sensors was"),
-        (dict(sigma_gyro=(0.0, 0.1)), "sigma_gyro"),
-    ],
-)
-def test_sensors_that_a_replay_cannot_use_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words) as refusal:
-        rhec.replay(LOG, **arguments)
-    assert "\n" not in str(refusal.value)
-
-
 @pytest.mark.nightly
 def test_calibration_finds_the_noise_of_a_gyro():
     found = rhec.calibrate(with_gyro(sigma=0.03, log=recorded_log(5.0, 120.0, noise_m=0.03)))

@@ -13,6 +13,7 @@ import rhec
 from notebooks.further.recorded import verdicts
 from notebooks.further.recorded.rivals import RIVALS
 from notebooks.studies.statistics import share_interval
+from rhec.logs import terms
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.recording import prepare
 
@@ -29,6 +30,19 @@ def test_white_noise_on_a_straight_drive_has_its_deviation(sigma_m):
         found.append(position_sigma_m(rows))
     assert np.std(found) / np.sqrt(50) < 0.01 * sigma_m
     assert np.mean(found) == pytest.approx(sigma_m, rel=0.03)
+
+
+def test_the_sigma_of_a_regression_is_that_of_many_drives():
+    """Of 200 regressions with white errors the slopes scatter as the jackknife says, to a tenth."""
+    rng = np.random.default_rng(0)
+    x = np.column_stack([np.sin(0.1 * np.arange(400)), np.ones(400)])
+    found = [
+        terms._jackknife(x, x @ (0.7, 0.1) + rng.standard_normal(400), np.arange(400) // 20)
+        for _ in range(200)
+    ]
+    for of_one in zip(*found):
+        values, sigmas = np.transpose(of_one)
+        assert np.sqrt(np.mean(sigmas**2)) == pytest.approx(values.std(), rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -156,7 +170,9 @@ def test_intervals_of_a_calibration_hold_the_truth():
     truth = dict(zip(held, (noise_m, *arm_m, 0.0)))
     for seed in range(n):
         log = recorded_log(5.0, 120.0, noise_m=noise_m, seed=seed, arm_m=arm_m)
-        report = rhec.calibrate(log, trust_log=True).report
+        found = rhec.calibrate(log, trust_log=True)
+        report = found.report
+        assert not any("wander" in remark for remark in found.remarks)  # the noise is white
         for name, value in truth.items():
             held[name] += report.loc[name, "low"] < value < report.loc[name, "high"]
     assert all(is_plausible(k, n, most=1.0) for k in held.values()), held

@@ -16,7 +16,7 @@ def thinned(log, rate_hz):
     return log
 
 
-@pytest.mark.parametrize("rate_hz", [10.0, 5.0, 2.5, 1.0])
+@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
 @pytest.mark.parametrize("sigma_m", [0.05, 0.3])
 def test_the_noise_of_positions_is_found_at_every_rate(sigma_m, rate_hz):
     log = thinned(recorded_log(10.0, 200.0, noise_m=sigma_m, seed=4), rate_hz)

@@ -1,12 +1,17 @@
 """The smoother of a replay, delays of positions, and a calibration in the terms of ROS."""
 
+from types import SimpleNamespace
+
+import casadi as ca
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
+from scipy.signal import lfilter
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
+from rhec.core.estimator.estimate import noise_of
+from rhec.logs import filtering, smoother
 from rhec.simulation.columns import ESTIMATE
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
@@ -61,12 +66,6 @@ def test_what_the_estimator_rejects_does_not_count_later():
     assert off[290:410].max() < 0.2
 
 
-@pytest.mark.parametrize("arguments", [dict(speed_model="parameter"), dict(estimator="ekf")])
-def test_other_estimators_cannot_be_smoothed(arguments):
-    with pytest.raises(ValueError, match="smooth was True; only the estimator 'rhe'"):
-        rhec.replay(LOG, smooth=True, **arguments)
-
-
 def delayed_replay(delay_s, told_s):
     """Rows 0.2 s apart whose positions are late: RMS error [m], and positions that are used."""
     log = recorded_log(100.0, 60.0)
@@ -111,21 +110,40 @@ def test_a_calibration_speaks_of_multipliers(calibrated):
         assert row["low"] < row["value"] < row["high"]
         assert row["value"] == pytest.approx(value, rel=0.03, abs=0.02), name
     assert abs(terms.loc["delay of the positions", "value"]) < 0.05
-
-
-@pytest.mark.nightly
-def test_its_yaml_has_the_parameters_of_the_driver(calibrated):
-    for line in ("wheel_separation_multiplier: 1.", "left_wheel_radius_multiplier: 0."):
-        assert line in calibrated.yaml
-    for name, (value, low, high, unit) in calibrated.parameters.iterrows():
+    for name, (value, low, high, unit) in terms.iterrows():
         assert f"# {name}: {value:.4g} {unit} ({low:.4g} to {high:.4g})" in calibrated.yaml
 
 
-def test_a_log_without_turns_is_refused():
-    t = np.arange(0, 60, 0.2)
-    noise = 0.02 * np.random.default_rng(0).standard_normal((2, len(t)))
-    straight = pd.DataFrame(
-        dict(t_s=t, x_m=0.45 * t + noise[0], y_m=noise[1], speed_mps=0.5, yaw_rate_radps=0.001)
+def test_the_sigma_of_a_smoother_is_that_of_errors_that_last_longer_than_a_sample():
+    """The mean of n measurements, of which neighbours have errors correlated by ρ = 1/3.
+
+    Its variance is (1 + ρ)/(1 - ρ) σ²/n = 2 σ²/n. Of 400 such means 95 % are within 1.96 σ.
+    """
+    model = rhec.Model(
+        states=("x_m", "y_m"),
+        inputs=("speed_mps",),
+        parameters={},
+        outputs=("x_m", "y_m", "speed_mps"),
+        f=lambda x, u, p: ca.vertcat(u, u),
     )
-    with pytest.raises(ValueError, match="turns of 0.06 rad in all.* drive two figures of eight"):
-        rhec.calibrate(straight)
+    rng = np.random.default_rng(0)
+    noise = noise_of(model, (1.0, 1.0, 1e-6), (1e-6, 1e-6))
+    n, rho, ratios = 40, 1 / 3, []
+    for _ in range(200):
+        steps = np.sqrt(1 - rho**2) * rng.standard_normal((n, 2))
+        steps[0] /= np.sqrt(1 - rho**2)
+        z = np.column_stack([lfilter([1], [1, -rho], steps, axis=0), np.zeros((n, 4))])
+        unknown = np.full(2, 100.0)
+        s, sigma = smoother.smoothed(model, 0.2, noise, unknown, np.zeros((n, 2)), z)
+        ratios.append(np.abs(s[n // 2]) / sigma[n // 2])
+    assert 0.92 < (np.array(ratios) < 1.96).mean() < 0.98
+
+
+def test_the_last_estimates_of_segments_are_weighed_by_their_variances():
+    """1 ± 0.1 and 4 ± 0.2 are 1.6 ± 0.0894 together."""
+    segments = [
+        dict(estimate=np.array([[9.0], [mean]]), variances=np.array([[9.0], [sigma**2]]))
+        for mean, sigma in ((1.0, 0.1), (4.0, 0.2))
+    ]
+    found = filtering.last_estimates(SimpleNamespace(joint_names=("arm",)), segments)
+    np.testing.assert_allclose(found["arm"], (1.6, 0.1 * np.sqrt(0.8)))

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
+from spoilt_logs import in_rows_of_their_own, late
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
@@ -29,13 +30,6 @@ def with_imu(log, rate_hz=60.0):
     gyro = np.interp(t, log["t_s"], log["yaw_rate_true_radps"])
     gyro += 0.005 * np.random.default_rng(0).standard_normal(len(t))
     return pd.concat([log, pd.DataFrame(dict(t_s=t, gyro_radps=gyro))]).sort_values("t_s")
-
-
-def in_pairs(log, offset_s):
-    """A log whose positions stand in rows of their own, by a clock that is ahead."""
-    encoders = log[["t_s", "speed_mps", "yaw_rate_radps"]]
-    positions = log[["t_s", "x_m", "y_m"]].assign(t_s=log["t_s"] + offset_s)
-    return pd.concat([encoders, positions]).sort_values("t_s", ignore_index=True)
 
 
 @pytest.fixture
@@ -63,7 +57,7 @@ def test_a_bag_with_an_imu_is_calibrated():
 @pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("offset_s", [18, -18, 37])
 def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
-    spoilt = in_pairs(STOPS, offset_s)
+    spoilt = in_rows_of_their_own(STOPS, offset_s)
     with pytest.raises(ValueError, match=f"--position-delay-s {offset_s} corrects this$"):
         rhec.replay(spoilt)
     told = rhec.replay(spoilt, position_delay_s=offset_s, first_yaw_rad=0.4)
@@ -76,41 +70,14 @@ def test_two_files_pasted_together_are_two_drives():
     assert rhec.replay(pasted, trust_log=True)["segment"].nunique() == 2
 
 
-def late_by(delay_s, duration_s):
-    """A log with positions that are late, of an antenna away from the centre."""
-    log = recorded_log(10.0, duration_s, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
-    log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(round(10 * delay_s))
-    return log
-
-
 @pytest.mark.usefixtures("without_a_search")
 def test_the_delay_is_measured_without_the_noise():
-    found = rhec.calibrate(late_by(0.3, 60.0), trust_log=True)
+    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
+    found = rhec.calibrate(late(log, 3), trust_log=True)
     row = found.report.loc["delay of the positions"]
     assert any("position_delay_s" in remark for remark in found.remarks)
     assert row["low"] < 0.3 < row["high"]
     assert row["value"] == pytest.approx(0.3, abs=0.05)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("delay_s", [0.3, 0.0])
-def test_calibration_measures_the_delay_beside_the_lever_arm(delay_s):
-    found = rhec.calibrate(late_by(delay_s, 150.0), trust_log=True)
-    row = found.report.loc["delay of the positions"]
-    assert any("position_delay_s" in remark for remark in found.remarks) == (delay_s > 0)
-    assert row["low"] < delay_s < row["high"] and row["high"] - row["low"] < 0.3
-    assert not any("wander" in remark for remark in found.remarks)  # the noise is white
-    assert row["value"] == pytest.approx(delay_s, abs=0.05)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_white_noise_does_not_wander(seed):
-    """As that of PPK: all positions are used, and the lever arm is known by them."""
-    log = recorded_log(5.0, 300.0, noise_m=0.02, seed=seed, arm_m=(0.6, -0.2))
-    found = rhec.calibrate(log)
-    assert not any("wander" in remark for remark in found.remarks)
-    np.testing.assert_allclose(found["lever_arm_m"], (0.6, -0.2), atol=0.03)
 
 
 @pytest.mark.usefixtures("without_a_search")

@@ -6,9 +6,9 @@
 from functools import partial
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import TRACK_WIDTH_M, recorded_log
+from spoilt_logs import in_rows_of_their_own
 from written_bags import START_NS, fix, joint_state, odometry, twist, write_bag
 
 import rhec
@@ -26,13 +26,6 @@ def csv(log, **how):
     return log.to_csv(index=False, **how)
 
 
-def in_rows_of_their_own(log, offset_s):
-    """A log whose positions stand in other rows than its encoders, by a clock that is ahead."""
-    positions = log[["t_s", "x_m", "y_m"]].assign(t_s=log["t_s"] + offset_s)
-    both = pd.concat([log.drop(columns=["x_m", "y_m"]), positions])
-    return both.sort_values("t_s", kind="stable", ignore_index=True)
-
-
 BACK = "; what follows counts as another drive."
 MISSING = "The log had no column {}; it should have t_s, x_m, y_m, speed_mps, yaw_rate_radps"
 # name: (the file's text, [all that is said])
@@ -41,7 +34,7 @@ TABLES = {
     "in Latin-1, with a remark": (csv(TABLE.assign(remark="grün")).encode("latin-1"), []),
     "with a row of units": (csv(TABLE).replace("\n", "\ns,m,m,m/s,rad/s\n", 1), []),
     "cut in its last line": (csv(TABLE)[:-20], []),
-    "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE, 0.0)), []),
+    "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE)), []),
     "without rows": (csv(TABLE[:0]), ["Log was DataFrame without rows; it should be a DataFrame "
                                       "with rows."]),
     "without a header": (
@@ -49,12 +42,14 @@ TABLES = {
         [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4 "
          "(header: none, the names of the columns are 0, 1, 2 …); --columns t_s=NAME renames one."],
     ),
-    "two files pasted together": (
-        csv(TABLE) + csv(AGAIN),
-        [f"The time falls back by 149.9 s{BACK}"],
-    ),
     "pasted without the header": (
         csv(TABLE) + csv(AGAIN, header=False), [f"The time falls back by 149.9 s{BACK}"]
+    ),
+    "steps from row to row": (
+        csv(TABLE.rename(columns=dict(speed_mps="delta_s", yaw_rate_radps="delta_theta"))),
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, delta_s, "
+         "delta_theta; delta_s, delta_theta may be steps from row to row: divided by the time "
+         "between rows they are speeds; --columns speed_mps=NAME renames one."],
     ),
     "other names of the wheels' speeds": (
         csv(LOG[["t_s", "x_m", "y_m", *TRACKS]].set_axis(
@@ -72,6 +67,12 @@ def test_all_that_is_said_of_a_spoilt_table(tmp_path, name):
     file = tmp_path / "log.csv"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     assert [finding.sentence for finding in rhec.doctor(file).findings] == sentences
+
+
+def test_one_track_in_both_columns_is_named():
+    log = LOG[["t_s", "x_m", "y_m", *TRACKS]].assign(v_right_mps=LOG["v_left_mps"])
+    (said,) = rhec.doctor(log, track_width_m=TRACK_WIDTH_M).findings
+    assert said.fact.startswith("the log's v_left_mps, v_right_mps are as fast as each other in a")
 
 
 def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
@@ -166,11 +167,3 @@ def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
         "positions by GPS time": "by the recorder, because the headers of /fix and /joints have",
     }
     assert log.attrs["inferred"]["time"].startswith(clock.get(name, "by the headers"))
-
-
-def test_a_bag_that_was_cut_off_names_the_command_that_mends_it(tmp_path):
-    content = write_bag(tmp_path, "mcap", drive()).read_bytes()
-    file = tmp_path / "cut.mcap"
-    file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match=rf"mcap recover {file} -o NEW.mcap may repair it$"):
-        rhec.logs.read(file)

@@ -48,6 +48,8 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     assert page[5].startswith("Trust it.") and "rhec log FILE --calibrate" in page[5]
     assert page[6] == "Warnings: none."
     assert "x_true_m" in summary.taken["truth, unseen"]
+    value, low, high = (summary.parameters[name].astype(float) for name in ("value", "low", "high"))
+    assert ((low < value) & (value < high)).all()
     assert "position_sigma_m: at most 0.03, the least that is assumed" in summary.details
     assert "(--track-width-m)" in summary.details and "(--wheel-radius-m)" in summary.details
     told = json.loads(summary.to_json())
@@ -88,10 +90,11 @@ def test_gnss_of_1_hz_is_tested_whatever_its_phase(offset):
 @pytest.mark.usefixtures("for_the_verdict")
 def test_a_kappa_of_one_is_none_above_one():
     log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
-    true = dict(speed_mps=log["v_true_mps"], yaw_rate_radps=log["yaw_rate_true_radps"])
+    # κ is 1.002 here, and its interval holds 1.
+    true = dict(speed_mps=log["v_true_mps"], yaw_rate_radps=0.997 * log["yaw_rate_true_radps"])
     summary = rhec.log(log.assign(**true))
     row = summary.traction.loc["κ"]
-    assert row["low"] < 1 < row["high"] and not any("above 1" in each for each in summary.doubts)
+    assert row["low"] < 1 < row["value"] and not any("above 1" in each for each in summary.doubts)
     more = rhec.log(log.assign(**true | dict(yaw_rate_radps=0.8 * true["yaw_rate_radps"])))
     assert any("κ is above 1" in each for each in more.doubts)
 
@@ -213,6 +216,8 @@ OF_ROS = dict(
     ekf_filter_node=dict(two_d_mode=bool, process_noise_covariance=15 * 15),
 )
 
+STATE_OF_ROS = "x y z roll pitch yaw vx vy vz vroll vpitch vyaw ax ay az"
+
 
 def read_as_ros(text):
     """{node: parameters}, as rcl_yaml_param_parser and rclcpp read them.
@@ -255,12 +260,17 @@ def parameters(slope):
 
 
 def test_round_numbers_and_unknown_ones_are_what_ros_reads():
-    """A track 1 m wide, and a traction that is not known."""
+    """A track 1 m wide, and a traction that is not known; each noise is of its own velocity."""
     noise = terms.Noise((0.0, 1.0, 2.0), (1e-9, 1.0, 10.0))
     round_one = terms.Slope(1.0, 0.0)
     table = parameters(round_one)
     told = read_as_ros(terms.as_yaml(table, 1.0, noise, 10.0))
-    assert told["diff_drive_controller"]["wheel_separation"] == 1.0
+    driver, node = told["diff_drive_controller"], told["ekf_filter_node"]
+    assert driver["wheel_separation"] == 1.0
+    assert np.take(driver["twist_covariance_diagonal"], [0, 1, 5]).tolist() == [0.0, 10.0, 20.0]
+    variances = dict(zip(STATE_OF_ROS.split(), node["process_noise_covariance"][::16]))
+    assert [variances[name] for name in ("vx", "vy", "vyaw")] == [1e-9, 1.0, 10.0]
+    assert max(variances[name] for name in ("x", "y", "yaw")) < 1e-5
     unknown = terms.Slope(np.nan, np.nan)
     text = terms.as_yaml(parameters(unknown), 1.0, noise, 10.0)
     assert yaml.safe_load(text) is None and "too short" in text

@@ -1,0 +1,194 @@
+"""Logs, files and arguments that cannot be used: each is refused in one sentence that names it.
+
+`test_findings` has the logs whose numbers are not what their columns say.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import assert_refused, recorded_log
+from written_bags import START_NS, odometry, pose_stamped, text, twist_stamped, write_bag
+
+import rhec
+from notebooks.rivals import RIVALS
+
+LOG = recorded_log(noise_m=0.02)
+FOREIGN = LOG.rename(
+    columns=dict(x_m="Easting [m]", y_m="northing", speed_mps="vel", yaw_rate_radps="gyro")
+)
+
+
+def straight(turn_radps=0.001, noise_radps=0.0):
+    """A log straight on, whose encoders' noise is no turn."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 600, 0.2)
+    log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5))
+    log["yaw_rate_radps"] = turn_radps + noise_radps * rng.standard_normal(len(t))
+    log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
+    return log
+
+
+def test_a_log_that_cannot_be_replayed():
+    rows = [
+        ([1, 2], "log was list; it should be a DataFrame"),
+        (LOG.iloc[:0], "log was DataFrame without rows"),
+        (LOG.drop(columns="x_m"), "the log had no column x_m…; --columns x_m=NAME renames one"),
+        (
+            LOG.drop(columns=["t_s", "speed_mps"]),
+            "the log had no column t_s, speed_mps;…or give a track_width_m",
+        ),
+        (LOG.assign(y_m="east"), "the log's column y_m had no number"),
+        (LOG.assign(t_s=np.nan), "the log's column t_s had no number"),
+        (LOG.iloc[::10], "the log had rows 1 s apart"),
+        (pd.concat([LOG, LOG[["x_m"]]], axis=1), "the log had several columns x_m"),
+        (FOREIGN, "the log had no…it has t_s, Easting [m], northing, vel, gyro, v_left_mps"),
+        (FOREIGN, "the log had no…did you mean --columns 'x_m=Easting [m]' y_m=northing?"),
+        (FOREIGN.drop(columns="v_left_mps"), "the log had no…y_m=northing speed_mps=vel?"),
+    ]
+    assert_refused(rhec.replay, [((log,), sentence) for log, sentence in rows])
+
+
+def test_arguments_of_a_replay():
+    rows = [
+        (dict(estimator="oracle"), "estimator was 'oracle'"),
+        (dict(estimator=RIVALS["fixed_traction"]), "estimator was Estimator('fixed_traction_step'"),
+        (dict(estimator="kalman"), "estimator was 'kalman'"),
+        (dict(sed=1), "replay has no parameter 'sed'"),
+        (dict(process_noise="bold"), "process_noise was 'bold'"),
+        (dict(first_yaw_rad=(0.0, 1.0)), "first_yaw_rad had 2 entries"),
+        (dict(first_yaw_rad=np.inf), "first_yaw_rad"),
+        (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "lever_arm_m was"),
+        (dict(lever_arm_m=(0.1,)), "lever_arm_m"),
+        (dict(track_width_m=-0.5), "track_width_m was -0.5"),
+        (dict(sigma_yaw_rad=0.0), "sigma_yaw_rad was 0.0"),
+        (dict(delays_s=dict(x_m=0.1)), "delays_s was …no model: position_delay_s is that"),
+        (dict(smooth=True, speed_model="parameter"), "smooth was True; only the estimator 'rhe'"),
+        (dict(smooth=True, estimator="ekf"), "smooth was True; only the estimator 'rhe'"),
+        (dict(sensors=("gyro",)), "sensors was …no numbers in a column gyro_radps"),
+        (dict(sensors=("compass",)), "sensors"),
+        (dict(sensors=("heading",), estimator="ekf"), "sensors was"),
+        (dict(sigma_gyro=(0.0, 0.1)), "sigma_gyro"),
+    ]
+    assert_refused(partial(rhec.replay, LOG), rows)
+
+
+def test_what_cannot_be_calibrated():
+    stands = recorded_log(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
+    eight = "the log had turns of …drive two figures of eight"
+    rows = [
+        (straight()[:300], "the log had turns of 0.06 rad in all, by yaw_rate_radps"),
+        (straight(0.0, noise_radps=0.05), eight),  # Σ |ω dt| is above 20 rad
+        (stands, "the log had no segment with 50 positions over 6 m; a robot that hardly moves"),
+    ]
+    calibrate = partial(rhec.calibrate, trust_log=True)
+    assert_refused(calibrate, [((log,), sentence) for log, sentence in rows])
+
+
+# Files
+
+
+def test_files_that_are_none(tmp_path, monkeypatch):
+    contents = {
+        "utf.csv": b"\xff\xfe\x00 bytes",
+        "empty.csv": b"",
+        "log.parquet": b"PAR1",
+        "log.bag": b"#ROSBAG V2.0\n junk",
+        "log.mcap": b"\x89MCAP0\r\n junk",
+        "log.db3": b"SQLite format 3\x00 junk",
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    rows = [((tmp_path / name,), "log was …cannot be read") for name in contents]
+    rows += [((path,), "log was …it should be a path") for path in (5, None, b"log.csv")]
+    (tmp_path / "log.doc").write_bytes(b"t_s")
+    existing = "log was …it should be an existing .csv, .txt, .dat, .tsv, .parquet, .bag, .db3, .mc"
+    rows += [((tmp_path / "log.doc",), existing), ((tmp_path / "none.csv",), existing)]
+    (tmp_path / "nothing").mkdir()
+    rows += [((tmp_path / "nothing",), existing), (("https://example.org/log.csv",), existing)]
+    rows += [(("a\0b.csv",), "log was")]
+    assert_refused(rhec.logs.read, rows)
+    with pytest.raises(ValueError, match="log was .* it (should|cannot) be a(n existing| path)"):
+        rhec.logs.read("a" * 5_000)
+    # From 3.14 on, Python says that so long a path leads nowhere.
+    monkeypatch.setattr(Path, "is_file", lambda self: False)
+    monkeypatch.setattr(Path, "is_dir", lambda self: False)
+    with pytest.raises(ValueError, match="it should be an existing .csv") as refusal:
+        rhec.logs.read("a" * 5_000 + ".csv")
+    assert len(str(refusal.value)) < 500
+
+
+def test_tables_that_are_none(tmp_path):
+    few = recorded_log(10.0, 20.0)[["t_s", "x_m", "y_m", "speed_mps", "yaw_rate_radps"]]
+
+    def read(log, first=None, **how):
+        names, *lines = log.to_csv(index=False).splitlines()
+        if first is not None:
+            lines[first:] = [f"{line},7" for line in lines[first:]]
+        (tmp_path / "log.csv").write_text("\n".join([names, *lines]))
+        return rhec.logs.read(tmp_path / "log.csv", **how)
+
+    def angles(latitude, longitude):
+        return few.drop(columns=["x_m", "y_m"]).assign(latitude=latitude, longitude=longitude)
+
+    rows = [
+        ((few, 0), "log was …cannot be read: …more entries than"),
+        ((few, 60), "log was …cannot be read: …saw 6"),
+        ((angles(5213.5, 4.3),), "the log's latitude is … should be in degrees"),
+        ((angles(52.1, 43012.1),), "the log's longitude is … should be in degrees"),
+        ((angles(521_000_000, 4.3),), "the log's latitude is … should be in degrees"),
+    ]
+    assert_refused(read, rows)
+    assert_refused(
+        partial(read, few),
+        [
+            (dict(topics=("/odom",)), "topics was …; only a bag has topics"),
+            (dict(columns=dict(x_m="north")), "columns['x_m'] was 'north'; the log has t_s, x_m"),
+        ],
+    )
+    assert_refused(
+        partial(read, few.drop(columns="yaw_rate_radps")),
+        [(dict(wheel_separation_multiplier=2.0), "wheel_separation_multiplier was 2.0; it is of")],
+    )
+
+
+def test_topics_and_fields_that_a_bag_does_not_have(tmp_path):
+    messages = [
+        ("/cmd", "geometry_msgs/msg/TwistStamped", START_NS, twist_stamped(0.1, 0.2)),
+        ("/odom", "nav_msgs/msg/Odometry", START_NS, odometry(1, 2, 0.5, 0.1)),
+        ("/pose", "geometry_msgs/msg/PoseStamped", START_NS, pose_stamped(1, 2)),
+        ("/wheels", "geometry_msgs/msg/TwistStamped", START_NS, twist_stamped(0.1, 0.2)),
+    ]
+    bag = write_bag(tmp_path, "mcap", messages)
+    read = "log was …cannot be read: "
+    topics = {
+        None: "several topics for encoders, /cmd, /wheels; topics should name one",
+        ("/gps",): "topics named '/gps'; the bag has /cmd, /odom, /pose, /wheels",
+        ("/pose",): "no topic for encoders (JointState, TwistStamped, Odometry) among /cmd (geom",
+        ("/cmd",): "no topic for positions (NavSatFix, PoseStamped, ",
+    }
+    rows = [(dict(topics=names), read + told) for names, told in topics.items()]
+    paths = {
+        "/odm.pose.pose": "…begin with a topic and a point, and the bag has /cmd (geometry_msgs",
+        "/odom.pose.position.x": "…a nav_msgs/msg/Odometry has no 'position' there: it has pose, c",
+        "/odom.pose.pose.position": "…is no number: it has x, y, z",
+        "/odom.child_frame_id": "…is no number: it is a str",
+        "/odom.pose.covariance": "…is no number: an array of 36, of which [0] is the first",
+        "/odom[0]": "…has no array there: it has header, child_frame_id, pose, twist",
+        "/odom.pose..x": "…it should end in fields and places in arrays, such as .pose",
+    }
+    rows += [
+        (dict(topics=("/odom",), columns=dict(x_m=path)), f"{read}columns['x_m'] was '{path}{told}")
+        for path, told in paths.items()
+    ]
+    rows += [(dict(topics=("/odom",), columns=dict(x_m="north")), "columns['x_m'] was 'north'; th")]
+    rows += [(dict(columns=dict(t_s="/odom.pose.pose.position.x")), f"{read}…not be given: the ti")]
+    assert_refused(partial(rhec.logs.read, bag), rows)
+    (tmp_path / "talk").mkdir()
+    talk = [("/talk", "std_msgs/msg/String", START_NS, text("hello"))]
+    assert_refused(
+        rhec.logs.read,
+        [((write_bag(tmp_path / "talk", "mcap", talk),), f"{read}no topic for positions …x_m=/to")],
+    )
