@@ -147,17 +147,6 @@ def test_the_loop_and_the_evaluation_see_the_same_path(name):
         )
 
 
-def test_before_an_open_path_its_first_segment_goes_on():
-    path = rhec.Path.from_segments([(30.0, 0.0), (20.0, 0.1), (30.0, 0.0)], start=(1.0, 2.0, 0.3))
-    behind = np.array([1.0 - 0.05 * np.cos(0.3), 2.0 - 0.05 * np.sin(0.3), 0.3])
-    np.testing.assert_allclose(path.poses([-0.05])[0][0], behind)
-    result = along(
-        path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8]
-    )  # as GNSS noise may have it at the start
-    assert result["s_m"] == pytest.approx(-0.05)
-    np.testing.assert_allclose(result["xi_ref"][2], 0.3)
-
-
 def test_the_closest_point_is_followed_at_the_robots_pace():
     """Two Newton steps a sample keep up with a robot half a metre off, joints included."""
     s, length = 0.0, RACETRACK.length_m
@@ -205,7 +194,7 @@ def test_a_closed_path_goes_round_and_an_open_one_straight_on_at_both_ends():
     # As GNSS noise may have it at the start.
     behind = np.array([1.0 - 0.05 * np.cos(0.7), 2.0 - 0.05 * np.sin(0.7), 0.7])
     np.testing.assert_allclose(path.poses([-0.05])[0][0], behind)
-    assert along(path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8])["s"] == pytest.approx(-0.05)
+    assert along(path, -0.05, estimate=[*behind, 0.5, 0.9, 0.8])["s_m"] == pytest.approx(-0.05)
 
 
 def test_the_input_reference_is_the_measured_yaw_rate_or_what_the_curve_asks_for():
