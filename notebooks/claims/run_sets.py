@@ -15,9 +15,8 @@ import pandas as pd
 
 from notebooks.further.rivals import cautious, ltv_mpc
 from notebooks.rivals import RIVALS, by_name
-from notebooks.studies.parallel import map_runs
+from notebooks.studies import parallel
 from rhec import paper
-from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.campaigns.store import scenario_key
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
@@ -203,7 +202,7 @@ def measure(scenarios, folder=None):
     """
     logs = scenarios.get("logs", {})
     runs = scenarios.get("runs", {})
-    rows = iter(map_runs(measured, list(itertools.chain(*logs.values()))))
+    rows = iter(parallel.map_runs(measured, list(itertools.chain(*logs.values()))))
     tables = {
         name: pd.DataFrame([next(rows) for _ in part]).assign(**_columns_of(part))
         for name, part in logs.items()
@@ -227,11 +226,11 @@ def _columns_of(scenarios):
 
 def drive(scenarios, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
-    every = [scenario for of_name in scenarios.values() for scenario in of_name]
-    table = complete(campaign(every, folder).assign(**_columns_of(every)))
-    ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
-    places = np.split(np.arange(len(table)), ends[:-1])
-    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}
+    tables = parallel.drive(scenarios, folder)
+    return {
+        name: complete(table.assign(**_columns_of(scenarios[name])))
+        for name, table in tables.items()
+    }
 
 
 def complete(table):

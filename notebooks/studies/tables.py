@@ -91,3 +91,11 @@ def _papers(table, labels):
     cells = reported.assign(value=values, variant="paper, " + variants.astype(str))
     columns = cells.pivot_table("value", "quantity", "variant", aggfunc="first", sort=False)
     return columns.set_axis(["paper"], axis=1) if columns.shape[1] == 1 else columns
+
+
+def to_markdown(frame):
+    """A DataFrame as a Markdown table without index."""
+    rows = [list(frame), ["---"] * len(frame.columns), *frame.to_numpy()]
+    # A vertical line would end the cell.
+    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
+    return "\n".join("| " + " | ".join(row) + " |" for row in cells)
