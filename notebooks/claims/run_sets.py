@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.further.rivals import ltv_mpc
 from notebooks.rivals import RIVALS, by_name
 from notebooks.studies import parallel
 from rhec import paper
@@ -106,11 +106,6 @@ RUNS = {
     "ekf_left": _LEFT | dict(estimator="ekf"),
     "no_slip_left": _LEFT | _like_rhe("rhe_no_slip"),
     "fixed_traction_left": _LEFT | _like_rhe("rhe_fixed_traction"),
-    # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(
-        estimator=RIVALS["yaw_drift_ekf"], process_noise="prediction", duration_s=270.0
-    )
-    | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "rhe_uncertain": _UNSURE,
