@@ -856,6 +856,19 @@ def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
     assert lowest == "lowest" and row[lowest] == log[["mu_hat", "kappa_hat"]].min(axis=None)
 
 
+def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side():
+    """At the origin, straight ahead, it drives by μν."""
+    found = experiments.models(3)
+    ahead = [mu * speed for speed, mu, *_ in experiments._draw_states(3)]
+    np.testing.assert_allclose(found["at_rest_mps"], ahead)
+    np.testing.assert_allclose(found[["off_unicycle_m", "sideways_mps"]], 0, atol=1e-9)
+
+
+def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
+    off = experiments.certainty_equivalence(4.0)["off_radps"]
+    assert len(off) == 20 and off.max() < 1e-9
+
+
 def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
     kkt = experiments.kkt_tolerances(5)
     assert (kkt["linear_after_step"] < 1e-9).all()
