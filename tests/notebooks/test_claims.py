@@ -319,6 +319,20 @@ def test_to_beat_a_rival_that_is_lost_is_named_so(orders):
     assert left.value == pytest.approx(0.01, abs=5e-4)
 
 
+def test_the_ledger_has_the_largest_p_of_what_is_decided(orders):
+    """Where all is open, that of what is open."""
+    findings = findings_of(B5, orders)["B5"]
+    decided = [found.p for found in findings.values() if found.verdict in (HOLDS, FAILS)]
+    open_ = findings["W by tracking"].p
+    assert max(decided) < 1e-6 < 0.1 < open_
+    (row,) = judged(orders, B5).itertuples()
+    assert row.p == row.p_adjusted == max(decided)
+    rule = B5["B5"].rule
+    alone = rule._replace(by_condition={"": rule.by_condition["W by tracking"]})
+    (row,) = judged(orders, {"B5": B5["B5"]._replace(rule=alone)}).itertuples()
+    assert (row.verdict, row.p) == (UNDECIDED, open_)
+
+
 def test_the_order_turns_with_the_numbers(orders):
     """RHE and EKF exchanged: what held does not hold, and the other way round."""
     names = dict(rhe="ekf", ekf="rhe", rhe_smoothed="ekf", rhe_left="ekf_left", ekf_left="rhe_left")
