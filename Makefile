@@ -62,8 +62,7 @@ smoke: $(READY) ## run every notebook with small parameters, and look at its tab
 	@$(PY) -m pytest -n auto tests/smoke
 
 test-browser: build/report/index.html ## test the pages in a headless Chromium
-	@$(PY) -m pytest --thorough -rs -n auto --dist loadfile -m 'not timed' tests/browser
-	@$(PY) -m pytest -m timed tests/browser
+	@$(PY) -m pytest --thorough -rs -n auto --dist loadfile tests/browser
 
 lint: $(READY) ## check style, types of the public interface, imports, and notebooks for outputs
 	@$(PY) -m ruff check --quiet

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from notebooks.studies.tables import to_markdown
+
 FOLDER = Path(__file__).resolve().parents[1] / "data/results/benchmark"
 WHOLE = ("RHE + RHC", "closed loop")
 SAMPLES = 1200  # of a drive
@@ -40,11 +42,6 @@ def in_units(seconds):
             digits = 3 if number >= 100 else 2
             text = f"{number:.{digits}g}"
             return f"{float(text):g} {unit}"
-
-
-def _markdown(frame):
-    rows = [list(frame), ["---"] * len(frame.columns), *frame.to_numpy()]
-    return "\n".join("| " + " | ".join(map(str, row)) + " |" for row in rows)
 
 
 def _ratio(number):
@@ -90,7 +87,7 @@ def step():
             "over rhec from Python": _ratio(row["ratio"]),
         }
         rows.append(shown)
-    return f"{measured_on('step')}\n\n{_markdown(pd.DataFrame(rows))}"
+    return f"{measured_on('step')}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
 def agreement():
@@ -103,7 +100,7 @@ def agreement():
         }
         for row in read("agreement").to_dict("records")
     ]
-    return _markdown(pd.DataFrame(rows))
+    return to_markdown(pd.DataFrame(rows))
 
 
 def _by(name, size, unit):
@@ -119,7 +116,7 @@ def _by(name, size, unit):
     frame = pd.DataFrame(columns)
     order = [each for each in NAMES.values() if each in frame.index]
     frame = frame.loc[order].fillna(_NONE).reset_index(names="")
-    return f"{measured_on(name)}\n\n{_markdown(frame)}"
+    return f"{measured_on(name)}\n\n{to_markdown(frame)}"
 
 
 def horizons():
@@ -152,7 +149,7 @@ def drives():
             continue
         label = "rhec.simulate, rhec.campaign" if name == FROM_PYTHON else NAMES[name]
         rows.append({"": label, "a drive": in_units(one), f"{DRIVES:,} drives": in_units(many)})
-    return f"{measured_on('drive', 'campaigns', 'step')}\n\n{_markdown(pd.DataFrame(rows))}"
+    return f"{measured_on('drive', 'campaigns', 'step')}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
 def campaigns():
@@ -168,7 +165,7 @@ def campaigns():
                 "processor, each drive": in_units(row["cpu_s_median"] / row["runs"]),
             }
         )
-    return f"{measured_on('campaigns')}\n\n{_markdown(pd.DataFrame(rows))}"
+    return f"{measured_on('campaigns')}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
 def _range(row, name):
@@ -189,7 +186,7 @@ def first():
         }
         for row in read("first").to_dict("records")
     ]
-    return f"{measured_on('first')}\n\n{_markdown(pd.DataFrame(rows))}"
+    return f"{measured_on('first')}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
 def floor():
@@ -216,13 +213,13 @@ def floor():
         }
     )
     speed = f"Here scalars are added and multiplied {table['gflops'].iloc[0]:g}·10⁹ times a second."
-    return f"{measured_on('floor')} {speed}\n\n{_markdown(pd.DataFrame(rows))}"
+    return f"{measured_on('floor')} {speed}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
 def lines():
     """The lines that a user writes."""
     table = read("lines").pivot(index="task", columns="contestant", values="lines")
-    return _markdown(table.reset_index(names="lines of code"))
+    return to_markdown(table.reset_index(names="lines of code"))
 
 
 def beside_peers():
@@ -256,7 +253,7 @@ def beside_peers():
                 ),
             }
         )
-    return _markdown(pd.DataFrame(rows))
+    return to_markdown(pd.DataFrame(rows))
 
 
 def or_missing(function):
@@ -281,7 +278,7 @@ def packages():
         }
         for row in read("packages").fillna({"extra": ""}).to_dict("records")
     ]
-    return _markdown(pd.DataFrame(rows))
+    return to_markdown(pd.DataFrame(rows))
 
 
 _TABLES = {

@@ -63,10 +63,6 @@ def workers_of(process):
     return found
 
 
-def megabytes(processes):
-    return max((process.memory_info().rss for process in processes), default=0) / 1e6
-
-
 def fill(file):
     """Leave no room beside this file."""
     with open(file, "wb", buffering=0) as filler:
@@ -89,8 +85,6 @@ def attempt(options, rows, log, disk):
         time.sleep(0.2)
         done = rows.count()
         try:
-            own, others = megabytes([process]), megabytes(workers_of(process))
-            log["memory"].append((done, own, others))
             if done > before:  # all have started
                 next_kill = min(next_kill, time.monotonic() + options.kill_every_s)
             if time.monotonic() > next_kill and (living := workers_of(process)):
@@ -122,7 +116,7 @@ def main():
     disk = on_a_small_disk(options.folder)
     if not disk:
         print("the disk is not filled: that takes a disk of its own, which only root may mount")
-    log = dict(workers_killed=0, campaigns_killed=0, disks_full=0, memory=[])
+    log = dict(workers_killed=0, campaigns_killed=0, disks_full=0)
     rows, began, ends = Rows(options.folder), time.monotonic(), []
     for _ in range(10):
         code, out, err = attempt(options, rows, log, disk)
@@ -144,17 +138,16 @@ def main():
         repr(rhec.simulate(wanted[seed]).metrics | dict(error="")) != repr(kept.get(keys[seed]))
         for seed in again
     )
-    memory = np.array(log.pop("memory"))
-    tenth = memory[memory[:, 0] <= max(options.runs // 10, memory[0, 0])]
     result = log | dict(
-        runs=options.runs, lost=len(set(keys) - kept.keys()), foreign=len(kept.keys() - set(keys)),
-        twice=rows.count() - len(kept), checked=len(again), differing=differing, ends=ends,
-        seconds=round(seconds, 1), runs_per_s=round(options.runs / seconds, 1),
-        own_mb_in_the_first_tenth=round(tenth[:, 1].max(), 1),
-        own_mb_at_most=round(memory[:, 1].max(), 1),
-        worker_mb_in_the_first_tenth=round(tenth[:, 2].max(), 1),
-        worker_mb_at_most=round(memory[:, 2].max(), 1),
-    )  # fmt: skip
+        runs=options.runs,
+        lost=len(set(keys) - kept.keys()),
+        foreign=len(kept.keys() - set(keys)),
+        twice=rows.count() - len(kept),
+        checked=len(again),
+        differing=differing,
+        ends=ends,
+        runs_per_s=round(options.runs / seconds, 1),
+    )
     print(json.dumps(result, indent=1))
     bad = ("lost", "foreign", "twice", "differing")
     raise SystemExit(ends[-1] != 0 or any(result[name] for name in bad))

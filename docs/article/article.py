@@ -25,11 +25,12 @@ _SOURCE = "docs/article/article.typ"
 
 def tables():
     """The article's tables: {name: DataFrame of texts}; the first column names the rows."""
+    table = pd.read_csv(answer.RESULTS / "table_scenario_b.csv")
     return dict(
-        answer=_answer(),
+        answer=pd.DataFrame({"": ["Scenario B"], "in short": [answer.in_short(table)]}),
         summary=answer.paper_beside_ours(),
-        scenario_b=answer.scenario_b_numbers(),
-        turns=answer.by_turns().iloc[:, :7],
+        scenario_b=answer.scenario_b_numbers(table),
+        turns=answer.by_turns(table).iloc[:, :7],
         weights=_weights(),
         scenario_a=_scenario_a(),
         times=_times(),
@@ -39,12 +40,6 @@ def tables():
         worth=_worth(),
         faults=_faults(),
     )
-
-
-def _answer():
-    """Whether Scenario B reproduced, in one sentence."""
-    table = pd.read_csv(answer.RESULTS / "table_scenario_b.csv")
-    return pd.DataFrame({"": ["Scenario B"], "in short": [answer.in_short(table)]})
 
 
 def _verdicts():

@@ -14,8 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from notebooks.claims.summary import verdict_counts
 from notebooks.plots.claims import LOOKS, kind_of
-from notebooks.studies import answer
-from notebooks.studies.tables import interval_text, three_digits, with_minus
+from notebooks.studies.tables import interval_text, three_digits, to_markdown, with_minus
 
 __all__ = ["LIVE", "interval", "page"]
 
@@ -55,7 +54,7 @@ def page(claims, live=False):
     """
     claims = claims.assign(kind=claims["verdict"].map(kind_of))
     template = _environment().get_template(_TEMPLATE.name).module
-    counts = answer.to_markdown(verdict_counts(claims).reset_index())
+    counts = to_markdown(verdict_counts(claims).reset_index())
     sections = {
         section: [_card(row, live) for row in rows.to_dict("records")]
         for section, rows in claims.groupby("section", sort=False)

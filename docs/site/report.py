@@ -36,6 +36,7 @@ from notebooks.claims.rules import CLAIMS
 from notebooks.parameter_table import parameters_of
 from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies import answer, timing
+from notebooks.studies.tables import to_markdown
 from rhec import __version__, style
 
 __all__ = ["SHOWN", "build", "licence"]
@@ -335,7 +336,7 @@ def _parameters_page(stories):
         table = pd.DataFrame(parameters_of(ROOT / place)).assign(
             name=lambda rows: "`" + rows["name"] + "`"
         )
-        parts += [f"## [{_title(notebook)}]({place})", answer.to_markdown(table)]
+        parts += [f"## [{_title(notebook)}]({place})", to_markdown(table)]
     return "\n\n".join(parts)
 
 
@@ -360,9 +361,9 @@ def _provenance_page(stories, figures):
     return "\n\n".join(
         [
             "# Provenance",
-            answer.to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
+            to_markdown(pd.DataFrame(facts, columns=["what", "value"])),
             "## Notebooks",
-            answer.to_markdown(runs),
+            to_markdown(runs),
             f"These pages hold scripts and styles of other projects; their licences: {licences}.",
         ]
     )

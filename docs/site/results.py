@@ -16,6 +16,7 @@ from notebooks.claims.rules import CLAIMS
 from notebooks.further import consistency, unknowns
 from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
+from notebooks.studies.tables import to_markdown
 
 __all__ = ["BLOCKS", "PAGES", "rewrite"]
 
@@ -45,8 +46,13 @@ def _n_claims():
 
 def _consistency():
     table = _table("table_consistency")
-    verdicts = answer.to_markdown(consistency.readable_verdicts(table))
+    verdicts = to_markdown(consistency.readable_verdicts(table))
     return f"{verdicts}\n\n{consistency.in_words(table)}"
+
+
+def _unknowns():
+    names = ("table_unknowns", "table_unknowns_by_rule", "table_traction_map")
+    return [_table(name, dtype=dict(told=str)) for name in names]
 
 
 BLOCKS = {
@@ -54,15 +60,15 @@ BLOCKS = {
     "bar": lambda: answer.bar(),
     "sentence": lambda: f"**{answer.in_short(_table('table_scenario_b'))}**",
     "words": lambda: answer.in_words(),
-    "numbers": lambda: answer.to_markdown(answer.scenario_b_numbers()),
-    "turns": lambda: answer.to_markdown(answer.by_turns()),
-    "sentences": lambda: answer.to_markdown(answer.sentences()),
-    "changes": lambda: answer.to_markdown(summary.changes(_table("claims"), CLAIMS)),
+    "numbers": lambda: to_markdown(answer.scenario_b_numbers(_table("table_scenario_b"))),
+    "turns": lambda: to_markdown(answer.by_turns(_table("table_scenario_b"))),
+    "sentences": lambda: to_markdown(answer.sentences()),
+    "changes": lambda: to_markdown(summary.changes(_table("claims"), CLAIMS)),
     "counted": _n_claims,
-    "noises": lambda: answer.to_markdown(calibration.readable_noises()),
+    "noises": lambda: to_markdown(calibration.readable_noises()),
     "consistency": _consistency,
-    "worth": unknowns.in_words,
-    "take": unknowns.in_short,
+    "worth": lambda: unknowns.in_words(*_unknowns()),
+    "take": lambda: unknowns.in_short(_unknowns()[0], _unknowns()[-1]),
     **{f"recorded_{name}": block for name, block in recorded.BLOCKS.items()},
 } | benchmark.BLOCKS
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)

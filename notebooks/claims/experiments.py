@@ -457,7 +457,6 @@ EXACT = {  # experiments that no process noise affects
     "certainty": certainty_equivalence,
     "convexity": convexity,
 }
-OF_NOISE = ("arrival_cost", "iterations", "search")
 _RUNS_AT_ONCE = 8  # as many as AVX-512 registers have lanes
 
 

@@ -13,11 +13,10 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 
-from notebooks.further.rivals import cautious, ltv_mpc
+from notebooks.further.rivals import ltv_mpc
 from notebooks.rivals import RIVALS, by_name
-from notebooks.studies.parallel import map_runs
+from notebooks.studies import parallel
 from rhec import paper
-from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.campaigns.store import scenario_key
 from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
@@ -107,11 +106,6 @@ RUNS = {
     "ekf_left": _LEFT | dict(estimator="ekf"),
     "no_slip_left": _LEFT | _like_rhe("rhe_no_slip"),
     "fixed_traction_left": _LEFT | _like_rhe("rhe_fixed_traction"),
-    # Slower, so it needs longer. The paper prints no W for a yaw drift.
-    "cautious": dict(
-        estimator=RIVALS["yaw_drift_ekf"], process_noise="prediction", duration_s=270.0
-    )
-    | dict(controller=cautious.controller),
     "rhe_constant": _CONSTANT,
     "fixed_traction_constant": _CONSTANT | dict(estimator=RIVALS["rhe_fixed_traction"]),
     "rhe_uncertain": _UNSURE,
@@ -203,7 +197,7 @@ def measure(scenarios, folder=None):
     """
     logs = scenarios.get("logs", {})
     runs = scenarios.get("runs", {})
-    rows = iter(map_runs(measured, list(itertools.chain(*logs.values()))))
+    rows = iter(parallel.map_runs(measured, list(itertools.chain(*logs.values()))))
     tables = {
         name: pd.DataFrame([next(rows) for _ in part]).assign(**_columns_of(part))
         for name, part in logs.items()
@@ -227,11 +221,11 @@ def _columns_of(scenarios):
 
 def drive(scenarios, folder=None):
     """Metrics of {name: scenarios}, made as one campaign: {name: DataFrame, one row a run}."""
-    every = [scenario for of_name in scenarios.values() for scenario in of_name]
-    table = complete(campaign(every, folder).assign(**_columns_of(every)))
-    ends = np.cumsum([len(of_name) for of_name in scenarios.values()])
-    places = np.split(np.arange(len(table)), ends[:-1])
-    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(scenarios, places)}
+    tables = parallel.drive(scenarios, folder)
+    return {
+        name: complete(table.assign(**_columns_of(scenarios[name])))
+        for name, table in tables.items()
+    }
 
 
 def complete(table):

@@ -19,7 +19,7 @@ from scipy.special import gammaincinv
 
 from notebooks.rivals import RIVALS
 from notebooks.studies.statistics import CONFIDENCE, over_seeds, root_of_mean
-from notebooks.studies.tables import interval_text, readable
+from notebooks.studies.tables import interval_text
 from rhec.simulation import offline
 from rhec.simulation.columns import MEASUREMENTS, TRUTH
 from rhec.simulation.offline import SETTLED_S
@@ -253,18 +253,3 @@ def readable_verdicts(table):
             "errors as large as it says": found["verdict"],
         }
     )
-
-
-def readable_consistency(table):
-    """The table of `consistency_table` for readers: one row a quantity, one column an estimator.
-
-    The share inside the bounds follows in rows of its own.
-    """
-    inside = table.dropna(subset=["inside"])
-    shares = inside.assign(
-        quantity=inside["quantity"].str.replace("mean", "share inside its bounds"),
-        mean=inside["inside"],
-        low=np.nan,
-        high=np.nan,
-    )
-    return readable(pd.concat([table, shares])[["estimator", "quantity", "mean", "low", "high"]])

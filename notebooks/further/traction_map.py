@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 
 from notebooks.rivals import RIVALS
-from notebooks.studies.answer import to_markdown
+from notebooks.studies.parallel import true_errors
 from notebooks.studies.statistics import over_seeds, ratio_of_means
+from notebooks.studies.tables import to_markdown
 from rhec import paper
-from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import Terrain, random_for
@@ -124,14 +124,6 @@ def _drives(fields, loop, settings):
     ]
 
 
-def _errors(groups):
-    """{name: mean true errors (n,)} of {name: Scenarios}, in one campaign in this process."""
-    rows = campaign(list(itertools.chain(*groups.values())), workers=1)
-    errors = rows["mean_error_true_m"].fillna(np.inf).to_numpy()
-    ends = np.cumsum([len(group) for group in groups.values()])[:-1]
-    return dict(zip(groups, np.split(errors, ends)))
-
-
 def drive(kappas, seeds, training_fields):
     """Drive every loop on every soil with the settings that were best on its training fields.
 
@@ -151,7 +143,7 @@ def drive(kappas, seeds, training_fields):
         for name in every
         for number, settings in enumerate(_settings(name[-1]))
     }
-    means = {name: errors.mean() for name, errors in _errors(tried).items()}
+    means = {name: errors.mean() for name, errors in true_errors(tried).items()}
     fields = _fields(kappas, seeds)
     chosen = {}
     for name in every:
@@ -159,7 +151,7 @@ def drive(kappas, seeds, training_fields):
         settings = _settings(loop)
         best = min(range(len(settings)), key=lambda number: means[(*name, number)])
         chosen[name] = _drives(fields[tuple(place)], loop, settings[best])
-    return _errors(chosen)
+    return true_errors(chosen)
 
 
 def worth_map(errors):

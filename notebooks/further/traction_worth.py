@@ -7,14 +7,12 @@ of the true errors with it and without it, at equal seeds. Other soils have a ma
 (`notebooks.further.traction_map`).
 """
 
-import itertools
-
 import numpy as np
 import pandas as pd
 
 from notebooks.further.rivals.tuned_loops import TUNED
+from notebooks.studies import parallel
 from notebooks.studies.statistics import UNDECIDED, over_seeds, ratio_of_means
-from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 
 PAPERS = "RHE, as printed"
@@ -69,10 +67,7 @@ def scenarios(loop, seeds):
 
 def drive(loops, seeds, folder=None):
     """{loop: rows of `rhec.campaign`} on every seed; the folder keeps the campaign's rows."""
-    drives = {loop: scenarios(loop, seeds) for loop in loops}
-    rows = campaign([*itertools.chain(*drives.values())], folder, workers=1)
-    parts = np.split(np.arange(len(rows)), len(drives))
-    return {loop: rows.iloc[part] for loop, part in zip(drives, parts)}
+    return parallel.drive({loop: scenarios(loop, seeds) for loop in loops}, folder, workers=1)
 
 
 def _ratio(tables, one, other):

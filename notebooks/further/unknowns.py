@@ -18,10 +18,11 @@ import pandas as pd
 
 from notebooks.further import traction_map
 from notebooks.rivals import RIVALS
-from notebooks.studies import answer, which_worlds
+from notebooks.studies import which_worlds
+from notebooks.studies.parallel import true_errors
 from notebooks.studies.statistics import over_seeds, ratio_of_means
+from notebooks.studies.tables import to_markdown
 from rhec import paper
-from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS as NAMED_WORLDS
 
@@ -107,14 +108,6 @@ def _drawn(worlds):
     return [Scenario(seed=seed, **row) for seed, row in zip(worlds.index, rows)]
 
 
-def _errors(groups):
-    """{name: mean true errors (n,)} of {name: Scenarios}, in one campaign in this process."""
-    rows = campaign([*itertools.chain(*groups.values())], workers=1)
-    errors = rows["mean_error_true_m"].fillna(np.inf).to_numpy()
-    ends = np.cumsum([len(group) for group in groups.values()])[:-1]
-    return dict(zip(groups, np.split(errors, ends)))
-
-
 def _drives(scenarios, robot, r):
     """The Scenarios of a robot with a weight R."""
     return [dataclasses.replace(each, r=r, **ROBOTS[robot]) for each in scenarios]
@@ -139,7 +132,7 @@ def drive(seeds, training_fields, posterior_worlds):
         (world, robot, r): _drives(scenarios, robot, r)
         for (world, scenarios), robot, r in itertools.product(training.items(), ROBOTS, _R)
     }
-    means = {name: errors.mean() for name, errors in _errors(tried).items()}
+    means = {name: errors.mean() for name, errors in true_errors(tried).items()}
     fields = _fields(WORLDS, seeds)
     fields[POSTERIOR] = _drawn(drawn.head(posterior_worlds))
     chosen = {}
@@ -147,7 +140,7 @@ def drive(seeds, training_fields, posterior_worlds):
         best = min(_R, key=lambda r: means[world, robot, r])
         chosen[world, robot, AS_PRINTED] = _drives(scenarios, robot, paper.R)
         chosen[world, robot, TUNED] = _drives(scenarios, robot, best)
-    return _errors(chosen)
+    return true_errors(chosen)
 
 
 def drive_by_rule(seeds):
@@ -159,7 +152,7 @@ def drive_by_rule(seeds):
             drives[world, robot, rule] = [
                 dataclasses.replace(each, process_noise=rule) for each in scenarios
             ]
-    return _errors(drives)
+    return true_errors(drives)
 
 
 def rule_table(errors):
@@ -225,36 +218,26 @@ def _taken_off(ratios):
     return f"{max(least, 0)} to {most} %" if least < most else f"{most} %"
 
 
-def in_words(table=None, by_rule=None, worth_map=None):
+def in_words(table, by_rule, worth_map):
     """When to estimate what, as sentences and a table in Markdown.
 
     Args:
-        table: Of `worth_table`; None: that of this commit.
-        by_rule: Of `rule_table`; None: that of this commit.
-        worth_map: Of `traction_map.worth_map`; None: that of this commit.
+        table: Of `worth_table`.
+        by_rule: Of `rule_table`.
+        worth_map: Of `traction_map.worth_map`.
     """
-    if table is None:
-        table = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
-    if by_rule is None:
-        by_rule = pd.read_csv(answer.RESULTS / "table_unknowns_by_rule.csv")
-    if worth_map is None:
-        worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
     rule = traction_map.against_constants(worth_map)
     words = f"{_rule(table)}\n{_by_every_rule(by_rule)}"
-    return f"{words}\n\n{answer.to_markdown(_by_world(table))}\n\n{rule}"
+    return f"{words}\n\n{to_markdown(_by_world(table))}\n\n{rule}"
 
 
-def in_short(table=None, worth_map=None):
+def in_short(table, worth_map):
     """When to estimate what, in three sentences.
 
     Args:
-        table: Of `worth_table`; None: that of this commit.
-        worth_map: Of `traction_map.worth_map`; None: that of this commit.
+        table: Of `worth_table`.
+        worth_map: Of `traction_map.worth_map`.
     """
-    if table is None:
-        table = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
-    if worth_map is None:
-        worth_map = pd.read_csv(answer.RESULTS / "table_traction_map.csv", dtype=dict(told=str))
     worlds = drivable(table)
     worth = {name: _ratios(table, what, TUNED, worlds)["mean"] for name, what in BESIDE.items()}
     first = min(worth, key=lambda name: np.log(worth[name]).mean())

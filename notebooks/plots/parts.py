@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 import rhec
-from notebooks.studies.tables import interval_text, with_minus
+from notebooks.studies.tables import with_minus
 from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
@@ -54,15 +54,6 @@ def frequencies(axes, values, limits, colour, bins=50, relative=False):
     shares = counts / counts.max() if relative else 100 * counts / np.size(values)
     axes.stairs(shares, edges, orientation="horizontal", color=colour)
     axes.set_xlim(left=0, auto=True)
-
-
-def interval_row(axes, place, row, colour):
-    """Draw mean, 95 % interval (thick), middle 90 % of drives (thin), and the numbers."""
-    axes.hlines(place, row.p5, row.p95, linewidth=0.8, color=colour)
-    axes.hlines(place, row.low, row.high, linewidth=3, color=colour, alpha=0.6)
-    axes.plot(row.mean, place, "|", color=colour, markersize=7, markeredgewidth=1.2)
-    text = interval_text(row.mean, row.low, row.high)
-    note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
 
 
 def rows_axis(axes, labels, quantity):

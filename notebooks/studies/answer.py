@@ -30,7 +30,7 @@ from notebooks.studies.statistics import (
     verdict_on_number,
     verdict_on_order,
 )
-from notebooks.studies.tables import interval_text, three_digits, with_minus
+from notebooks.studies.tables import interval_text, three_digits, to_markdown, with_minus
 from rhec import paper
 from rhec.tracked_robot import tuning
 
@@ -60,6 +60,16 @@ VERDICTS = {
     LOST_ITSELF: LOST,
     _EKF_LOST: LOST,
 }
+
+
+def _table(name):
+    """A table of this commit."""
+    return pd.read_csv(RESULTS / f"{name}.csv")
+
+
+def _claims():
+    """The ledger of this commit, by id."""
+    return _table("claims").set_index("id")
 
 
 # Scenario B: numbers and verdicts
@@ -115,21 +125,18 @@ def _patterns(table):
 # The table of the first screen
 
 
-def paper_beside_ours(folder=RESULTS):
+def paper_beside_ours():
     """Scenario B beside the paper, with a verdict in each cell: a row a quantity, a column a rule.
 
     The last two rows have the verdict on "benefits from traction parameter estimates" (claim B6),
     and the share of the posterior's worlds in which the RHE has the smaller error.
 
-    Args:
-        folder: Folder of the tables.
-
     Returns:
         DataFrame of texts such as "met: 0.0419".
     """
-    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    numbers = Numbers(_table("table_scenario_b"))
     n = numbers.row("RHE", _ERROR, "printed")["n"]
-    never = _conditions(folder, "B7")
+    never = _conditions("B7")
     difference_mm = _MM * (paper.MEAN_ERROR_RHE_M - paper.MEAN_ERROR_EKF_M)
     rows = {
         "Mean error, RHE [m]": (
@@ -149,10 +156,10 @@ def paper_beside_ours(folder=RESULTS):
             f"{paper.VIOLATIONS_EKF}",
             lambda rule: _number_cell(numbers, "EKF", _VIOLATIONS, rule),
         ),
-        "The RHE benefits from its traction estimates": ("yes", _conditions(folder, "B6").get),
+        "The RHE benefits from its traction estimates": ("yes", _conditions("B6").get),
         "Share of worlds that fit the paper in which the RHE's error is less": (
             _NONE,
-            _worlds(folder).get,
+            _worlds().get,
         ),
     }
     head = f"mean of {n} drives, turns {TURNS[numbers.turns]}"
@@ -206,22 +213,16 @@ def _percent(share):
     return f"{100 * share:.0f} %"
 
 
-def _conditions(folder, claim):
+def _conditions(claim):
     """{rule: verdict} of a claim in the ledger."""
-    claims = pd.read_csv(folder / "claims.csv").set_index("id")
-    if claim not in claims.index:
-        return {}
-    verdicts = by_condition(claims.loc[claim, "conditions"])
+    verdicts = by_condition(_claims().loc[claim, "conditions"])
     names = CONDITIONS.items()
     return {rule: verdicts[name] for rule, name in names if name in verdicts}
 
 
-def _worlds(folder):
+def _worlds():
     """{rule: share of the posterior's worlds in which the RHE's mean error is the smaller}."""
-    file = folder / "inverse_rules.csv"
-    if not file.exists():
-        return {}
-    rows = pd.read_csv(file)
+    rows = _table("inverse_rules")
     rows = rows[rows["turns"] == "own"].set_index("rule for W")
     found = {}
     for rule in _RULES:
@@ -235,16 +236,16 @@ def _worlds(folder):
 # All numbers
 
 
-def scenario_b_numbers(folder=RESULTS):
+def scenario_b_numbers(table):
     """Scenario B's means with their intervals: a row a quantity, a column a rule for W.
 
     Args:
-        folder: Folder of the tables.
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
 
     Returns:
         DataFrame of texts such as "0.0419 [0.0417, 0.0422]".
     """
-    numbers = Numbers(pd.read_csv(folder / "table_scenario_b.csv"))
+    numbers = Numbers(table)
     labels = {
         ("RHE", _ERROR): "Mean error, RHE [m]",
         ("EKF", _ERROR): "Mean error, EKF [m]",
@@ -273,18 +274,18 @@ def _with_interval(row, least=0.0):
     return interval_text(row["mean"], max(row["low"], least), row["high"])
 
 
-def by_turns(folder=RESULTS):
+def by_turns(table):
     """Which way the path turns, and what follows: a row a pattern and rule.
 
     Args:
-        folder: Folder of the tables.
+        table: As for `scenario_b_numbers`.
 
     Returns:
         DataFrame of texts: the two mean errors, their difference with its verdict, the share of
         fields in which the RHE has less, and the shares of drives without a violation.
     """
     rows = []
-    for turns, numbers in _patterns(pd.read_csv(folder / "table_scenario_b.csv")).items():
+    for turns, numbers in _patterns(table).items():
         for rule in _RULES:
             gain = numbers.row(_GAIN, _ERROR, rule)
             rows.append(
@@ -425,25 +426,15 @@ def _says_error(numbers):
 # One sentence of the paper after the other
 
 
-def in_words(folder=RESULTS):
-    """What Scenarios A and B say of the paper's sentences, as Markdown, one line for each.
-
-    Args:
-        folder: Folder of the tables.
-    """
-    table = pd.read_csv(folder / "table_scenario_b.csv")
+def in_words():
+    """What Scenarios A and B say of the paper's sentences, as Markdown, one line for each."""
     told = "B6 B7 A1 A2 A10 A9".split()
-    return f"{scenario_b_in_words(table)}\n{_says_ledger(folder, told)}"
+    return f"{scenario_b_in_words(_table('table_scenario_b'))}\n{_says_ledger(told)}"
 
 
-def first_screen(folder=RESULTS):
-    """The answer in one sentence and one table, as Markdown.
-
-    Args:
-        folder: Folder of the tables.
-    """
-    table = pd.read_csv(folder / "table_scenario_b.csv")
-    return f"**{in_short(table)}**\n\n{to_markdown(paper_beside_ours(folder))}"
+def first_screen():
+    """The answer in one sentence and one table, as Markdown."""
+    return f"**{in_short(_table('table_scenario_b'))}**\n\n{to_markdown(paper_beside_ours())}"
 
 
 def scenario_b_in_words(table):
@@ -548,15 +539,12 @@ def scenario_a_in_words(table):
     )
 
 
-def _says_ledger(folder, ids):
+def _says_ledger(ids):
     """What the ledger says of sentences of the paper, one line each, as Markdown."""
-    claims = pd.read_csv(folder / "claims.csv").set_index("id")
     lines = []
-    for id_ in ids:
-        if id_ in claims.index:
-            row = claims.loc[id_]
-            number = interval_text(row["value"], row["low"], row["high"])
-            lines.append(f"- **{row['claim']}** ({id_}): {row['verdict']}; {number} {row['unit']}.")
+    for row in _claims().loc[ids].itertuples():
+        number = interval_text(row.value, row.low, row.high)
+        lines.append(f"- **{row.claim}** ({row.Index}): {row.verdict}; {number} {row.unit}.")
     return "\n".join(lines)
 
 
@@ -571,16 +559,13 @@ def _listed(texts):
 _SENTENCES = "B3 B4 B5 B6 B7 B9 B10 B16 S4 A1 A2 A10 A9 T7".split()
 
 
-def sentences(folder=RESULTS):
+def sentences():
     """What the ledger says of the sentences that the answer is about, with every condition.
-
-    Args:
-        folder: Folder of the tables.
 
     Returns:
         DataFrame of texts.
     """
-    claims = pd.read_csv(folder / "claims.csv").set_index("id")
+    claims = _claims()
     texts = claims[["claim", "verdict", "conditions"]]
     shown = texts[claims.index.isin(_SENTENCES)].fillna("")
     return pd.DataFrame(
@@ -593,23 +578,14 @@ def sentences(folder=RESULTS):
     )
 
 
-def bar(folder=RESULTS, link=LEDGER):
+def bar(link=LEDGER):
     """How many of the paper's sentences have each verdict, in words, as Markdown.
 
     Args:
-        folder: Folder of the tables.
         link: Where the parts lead, or None.
     """
-    counts = verdict_counts(pd.read_csv(folder / "claims.csv"))["claims"]
+    counts = verdict_counts(_claims())["claims"]
     parts = [f"{verdict}: {count}" for verdict, count in counts.items() if count]
     if link:
         parts = [f"[{part}]({link})" for part in parts]
     return f"Of the {counts.sum()} sentences of the paper that were judged: {' · '.join(parts)}"
-
-
-def to_markdown(frame):
-    """A DataFrame as a Markdown table without index."""
-    rows = [list(frame), ["---"] * len(frame.columns), *frame.to_numpy()]
-    # A vertical line would end the cell.
-    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
-    return "\n".join("| " + " | ".join(row) + " |" for row in cells)

@@ -1,9 +1,12 @@
 """A function of many runs, or of many arguments, on all cores, in their order."""
 
+import itertools
 from functools import partial
 
+import numpy as np
+
 from rhec.simulation.campaigns.batch import simulate_batch
-from rhec.simulation.campaigns.campaign import run_all
+from rhec.simulation.campaigns.campaign import campaign, run_all
 from rhec.simulation.campaigns.workers import get_workers, map_tasks
 
 
@@ -27,6 +30,29 @@ def map_runs(function, scenarios):
 def _of_part(function, part, mean_samples):
     """{place: result} of {place: scenario}."""
     return dict(zip(part, simulate_batch(part.values(), function, mean_samples)))
+
+
+def drive(groups, folder=None, workers=None):
+    """Drive {name: scenarios} as one campaign: {name: rows of `rhec.campaign`}.
+
+    Args:
+        groups: The scenarios of each name.
+        folder, workers: As for `rhec.campaign`.
+    """
+    table = campaign([*itertools.chain(*groups.values())], folder, workers)
+    ends = np.cumsum([len(scenarios) for scenarios in groups.values()])
+    places = np.split(np.arange(len(table)), ends[:-1])
+    return {name: table.iloc[at].reset_index(drop=True) for name, at in zip(groups, places)}
+
+
+def true_errors(groups):
+    """{name: mean true errors (n,) [m]} of {name: scenarios}, driven in this process; inf of one
+    that is lost.
+    """
+    return {
+        name: rows["mean_error_true_m"].fillna(np.inf).to_numpy()
+        for name, rows in drive(groups, workers=1).items()
+    }
 
 
 def parallel_map(function, arguments):

@@ -4,12 +4,14 @@ A table has one row a quantity and a variant, with columns of numbers: a value a
 its interval. What a notebook shows has them in one cell: "34.6 [32.3, 37.0]".
 """
 
+import re
+
 import pandas as pd
 
 
 def with_minus(text):
-    """The text of a number with a minus in place of a hyphen."""
-    return text.replace("-", "−")
+    """A text whose numbers have a minus in place of a hyphen; dates and words keep theirs."""
+    return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "−", text)
 
 
 def three_digits(value):
@@ -96,3 +98,11 @@ def _papers(table, labels):
     cells = reported.assign(value=values, variant="paper, " + variants.astype(str))
     columns = cells.pivot_table("value", "quantity", "variant", aggfunc="first", sort=False)
     return columns.set_axis(["paper"], axis=1) if columns.shape[1] == 1 else columns
+
+
+def to_markdown(frame):
+    """A DataFrame as a Markdown table without index."""
+    rows = [list(frame), ["---"] * len(frame.columns), *frame.to_numpy()]
+    # A vertical line would end the cell.
+    cells = [[with_minus(str(cell)).replace("|", "\\|") for cell in row] for row in rows]
+    return "\n".join("| " + " | ".join(row) + " |" for row in cells)

@@ -19,15 +19,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-QUIET = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
+QUIET = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+QUIET += " --disable-component-update --disable-sync"
 PATIENCE_MS = 180_000  # a first run may compile
 
 # As defaults of a fresh JupyterLab: no question about news, every output in the page and not only
@@ -44,7 +37,7 @@ SETTINGS = {
 
 @pytest.fixture(scope="session", autouse=True)
 def unoptimised_processes():
-    """None: pages compute with what users have, and `timed` tests measure it."""
+    """None: pages compute with what users have."""
 
 
 @pytest.fixture(scope="session")
@@ -52,32 +45,21 @@ def chromium():
     """A headless Chromium: the system's, else Playwright's own."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with sync_api.sync_playwright() as playwright:
-        path = (
-            shutil.which("chromium")
-            or shutil.which("chromium-browser")
-            or shutil.which("google-chrome")
-            or playwright.chromium.executable_path
-        )
-        if not Path(path).exists():
+        names = ("chromium", "chromium-browser", "google-chrome")
+        found = [*filter(None, map(shutil.which, names)), playwright.chromium.executable_path]
+        if not Path(path := found[0]).exists():
             pytest.skip(
-                "no Chromium found: neither on the PATH nor one that "
-                "`playwright install chromium` leaves"
+                "no Chromium: none on the PATH, and `playwright install chromium` left none"
             )
-        browser = playwright.chromium.launch(executable_path=path, args=QUIET)
+        browser = playwright.chromium.launch(executable_path=path, args=QUIET.split())
         yield browser
         browser.close()
 
 
-LOCAL = (
-    "http://127.0.0.1:",
-    "http://localhost:",
-    "ws://127.0.0.1:",
-    "ws://localhost:",
-    "file:",
-    "data:",
-    "blob:",
-    "about:",
+LOCAL = tuple(
+    f"{scheme}://{host}:" for scheme in ("http", "ws") for host in ("127.0.0.1", "localhost")
 )
+LOCAL += ("file:", "data:", "blob:", "about:")
 
 
 @contextlib.contextmanager
@@ -156,60 +138,32 @@ class Lab:
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory):
     """JupyterLab on copies of this project's notebooks."""
-    home, folder, token = (
-        tmp_path_factory.mktemp("jupyter"),
-        tmp_path_factory.mktemp("notebooks"),
-        secrets.token_hex(),
-    )
+    home = tmp_path_factory.mktemp("jupyter")
+    folder = tmp_path_factory.mktemp("notebooks")
+    token = secrets.token_hex()
     for notebook in (ROOT / "notebooks").glob("*.ipynb"):
         shutil.copy(notebook, folder)
     overrides = home / "labconfig" / "default_setting_overrides.json"
     overrides.parent.mkdir()
     overrides.write_text(json.dumps(SETTINGS))
-    places = {
-        name: str(home / name.lower())
-        for name in (
-            "JUPYTER_DATA_DIR",
-            "JUPYTER_RUNTIME_DIR",
-            "JUPYTERLAB_SETTINGS_DIR",
-            "JUPYTERLAB_WORKSPACES_DIR",
-            "IPYTHONDIR",
-        )
-    }
-    environment = (
-        os.environ
-        | places
-        | {
-            "JUPYTER_CONFIG_DIR": str(home),
-            "JUPYTER_PATH": f"{sys.prefix}/share/jupyter",
-            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-        }
-    )
+    names = "JUPYTER_DATA_DIR JUPYTER_RUNTIME_DIR JUPYTERLAB_SETTINGS_DIR"
+    names += " JUPYTERLAB_WORKSPACES_DIR IPYTHONDIR"
+    own = {name: str(home / name.lower()) for name in names.split()}
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    own |= dict(JUPYTER_CONFIG_DIR=str(home), PYTHONPATH=os.pathsep.join(paths))
+    own |= dict(JUPYTER_PATH=f"{sys.prefix}/share/jupyter")
+    options = "--no-browser --ip=127.0.0.1 --port=0 --ServerApp.allow_root=True"
+    options += " --expose-app-in-browser --LabApp.extension_manager=readonly --LabApp.news_url=None"
+    options += " --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate"
+    command = [sys.executable, "-m", "jupyter", "lab", *options.split()]
+    command += [f"--IdentityProvider.token={token}", str(folder)]
     log = home / "log"
     with log.open("w") as written:
         server = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "jupyter",
-                "lab",
-                "--no-browser",
-                "--ip=127.0.0.1",
-                "--port=0",
-                f"--IdentityProvider.token={token}",
-                "--ServerApp.allow_root=True",
-                "--expose-app-in-browser",
-                "--LabApp.extension_manager=readonly",
-                "--LabApp.news_url=None",
-                "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
-                str(folder),
-            ],
-            env=environment,
-            stdout=written,
-            stderr=subprocess.STDOUT,
+            command, env=os.environ | own, stdout=written, stderr=subprocess.STDOUT
         )
     try:
-        yield Lab(_address(server, Path(places["JUPYTER_RUNTIME_DIR"]), log), token, folder)
+        yield Lab(_address(server, Path(own["JUPYTER_RUNTIME_DIR"]), log), token, folder)
     finally:
         server.terminate()
         server.wait()

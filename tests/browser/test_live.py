@@ -38,6 +38,7 @@ BYTES = """array => {
     for (const byte of new Uint8Array(array.slice().buffer)) text += String.fromCharCode(byte)
     return btoa(text)
 }"""
+PICTURES = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
 RUNS = """() => {
     const bytes = BYTES
     const lines = document.getElementById("line").textContent.split("\\n")
@@ -191,9 +192,8 @@ def test_a_slider_changes_the_run_and_the_page_says_what_came_of_it(live):
     page = live.open().page
 
     def shown():
-        pictures = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
         label = page.get_attribute("#error", "aria-label")
-        return [*page.evaluate(pictures), page.inner_text("#line"), label]
+        return [*page.evaluate(PICTURES), page.inner_text("#line"), label]
 
     before = shown()
     page.locator("#sliders [data-field=q]").first.focus()
@@ -214,34 +214,21 @@ def test_a_pointer_shows_values_zooms_and_a_click_hides_a_run(live):
     (time_s,) = {text.split(" s", 1)[0] for text in words if " s · " in text}
     x_m = rows[round(float(time_s) / paper.DT_S)][COLUMNS.index("x_m")]
     assert f"RHE {float(f'{x_m:.3g}'):g}, " in words[0]
-    pictures = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
-    whole = page.evaluate(pictures)
+    whole = page.evaluate(PICTURES)
     page.keyboard.down("Control")
     page.mouse.wheel(0, -200)
     live.settled()
-    zoomed = page.evaluate(pictures)
+    zoomed = page.evaluate(PICTURES)
     same = [now == then for now, then in zip(zoomed, whole)]
     assert same == [True, True, False, False, False, False]
     page.mouse.wheel(0, 600)
     page.keyboard.up("Control")
     live.settled()
-    assert page.evaluate(pictures) == whole
+    assert page.evaluate(PICTURES) == whole
     page.locator("#metrics button", has_text="EKF").click()
     live.settled()
     page.mouse.move(*place)
     assert "EKF" not in " ".join(page.locator(".view-words:visible").all_inner_texts())
-
-
-@pytest.mark.parametrize("scene", SCENES)
-def test_sliders_and_numbers_are_on_one_screen(live, scene):
-    page = live.page
-    page.set_viewport_size({"width": 1440, "height": 900})
-    live.open(f"#{scene}")
-    page.locator("#controls").scroll_into_view_if_needed()
-    page.evaluate("document.getElementById('controls').scrollIntoView()")
-    for part in ("#sliders input[type=range]", "#pictures", "#metrics"):
-        box = page.locator(part).first.bounding_box()
-        assert box["y"] >= 0 and box["y"] + box["height"] <= 900, part
 
 
 @pytest.mark.nightly(keep=1)
@@ -260,19 +247,15 @@ def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
             )
 
 
-def test_the_line_of_python_drives_within_millimetres_of_the_page(live):
-    for run in live.open("#b").runs():
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("rule, turns", list(zip(RULES, TURNS.values())))
+def test_the_line_of_python_names_the_rule_and_the_turns_and_drives_by_them(live, rule, turns):
+    page = live.open("#b").page
+    for run in live.runs():
         native = rhec.simulate(scenario_of(run["line"]))
         for name in ("x_m", "y_m"):
             found = run["rows"][:, COLUMNS.index(name)]
             np.testing.assert_allclose(found, native.columns[name], atol=5e-3)
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("rule", RULES)
-def test_the_line_of_python_names_the_rule_and_the_turns_and_drives_by_them(live, rule):
-    page = live.open("#b").page
-    turns = [*TURNS.values()][RULES.index(rule)]
     page.select_option("#noise", rule)
     page.select_option("#turns", turns)
     live.settled()
@@ -286,21 +269,13 @@ def test_the_line_of_python_names_the_rule_and_the_turns_and_drives_by_them(live
     for name, values in tuning.NOISES["rhe"][rule]._asdict().items():
         shown = page.locator(f"#sliders [data-field={name}] + output").all_inner_texts()
         np.testing.assert_allclose([*map(float, shown)], values, rtol=0.01)
-
-
-@pytest.mark.parametrize("turns", TURNS.values())
-def test_the_map_shows_the_whole_path(live, turns):
-    page = live.open("#b").page
-    page.select_option("#turns", turns)
-    live.settled()
+    # The map shows the whole path, and fills the map one way or the other.
     path = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M, turns)
     x_min, x_max, y_min, y_max = map(float, path.box)
-    corners = [[x_min, y_min], [x_max, y_max]]
     place = "corners => corners.map(([x, y]) => [page.map.x(x), page.map.y(y)])"
-    (left, bottom), (right, top) = page.evaluate(place, corners)
+    (left, bottom), (right, top) = page.evaluate(place, [[x_min, y_min], [x_max, y_max]])
     wide, high = page.evaluate("[$('map').clientWidth, $('map').clientHeight]")
     assert 0 < left < right < wide and 0 < top < bottom < high
-    # It fills the map one way or the other.
     assert right - left > 0.6 * wide or bottom - top > 0.6 * high
 
 

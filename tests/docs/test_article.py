@@ -37,22 +37,15 @@ def test_every_picture_is_saved_by_a_notebook():
         assert f'\\"{name}\\"' in notebooks, name
 
 
-@pytest.fixture
-def project(tmp_path):
-    shutil.copytree(article.ROOT / "docs/article", tmp_path / "docs/article")
-    (tmp_path / "figures").mkdir()
-    return tmp_path
-
-
-def test_the_same_inputs_give_the_same_bytes(project):
+def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_path):
     from matplotlib.figure import Figure
 
+    project = tmp_path
+    shutil.copytree(article.ROOT / "docs/article", project / "docs/article")
+    (project / "figures").mkdir()
+    with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
+        article.write(project)
     for name in re.findall(r'#picture\("(\w+)"', SOURCE):
         Figure(figsize=(2, 1)).savefig(project / f"figures/{name}.pdf")
     first = article.write(project).read_bytes()
     assert first.startswith(b"%PDF") and article.write(project).read_bytes() == first
-
-
-def test_a_missing_figure_is_named(project):
-    with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
-        article.write(project)

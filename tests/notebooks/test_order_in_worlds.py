@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import rhec
-from notebooks.studies import order_in_worlds, which_worlds
+from notebooks.studies import interpretations, order, order_in_worlds, which_worlds
 from rhec import paper
 from rhec.simulation import offline
 from rhec.tracked_robot import tuning
@@ -142,6 +142,19 @@ def test_total_effects_are_the_known_ones():
     assert thirds.iloc[0] < 0.1 and thirds.iloc[1] > 0.9
 
 
+def test_effects_are_those_of_the_ratio_and_a_lost_robot_counts_as_at_the_tolerance(monkeypatch):
+    def errors(function, drives):
+        ekf_m = dict(consistent=0.06, prediction=0.01, tracking=5.0)
+        return [0.03 if each.estimator == "rhe" else ekf_m[each.process_noise] for each in drives]
+
+    monkeypatch.setattr(order_in_worlds, "map_runs", errors)
+    found = order_in_worlds.drive_effects(rows=2)
+    ratios = dict(consistent=2.0, prediction=1 / 3, tracking=paper.TOLERANCE_M / 0.03)
+    for rule, ratio in ratios.items():
+        np.testing.assert_allclose(found[rule], np.log(ratio))
+        assert found[rule].shape == order_in_worlds.effect_design(2).shape[:2]
+
+
 def test_only_one_unknown_differs_between_the_worlds_of_a_pair():
     unit = order_in_worlds.effect_design(8)
     for k, sample in enumerate(unit[2:]):
@@ -158,6 +171,9 @@ def test_headlands_that_begin_gently_turn_by_half_a_turn():
     assert np.abs(np.diff(curvatures)).max() < 0.25 / 7.8
 
 
-def test_choices_that_are_in_no_list_are_scenarios():
-    for fields in order_in_worlds.unlisted_cases().values():
-        rhec.Scenario(**fields)
+def test_every_choice_is_a_scenario_and_another_one_than_the_default():
+    usual = rhec.Scenario()
+    listed = {name: fields for name, (_, fields, *_) in interpretations.INTERPRETATIONS.items()}
+    for choices in (order.VARIATIONS, order_in_worlds.unlisted_cases(), listed):
+        for name, fields in choices.items():
+            assert (rhec.Scenario(**fields) == usual) == (name == "as by default"), name

@@ -57,7 +57,7 @@ def test_the_best_settings_of_the_training_fields_are_driven(monkeypatch):
             for name, group in groups.items()
         }
 
-    monkeypatch.setattr(traction_map, "_errors", errors)
+    monkeypatch.setattr(traction_map, "true_errors", errors)
     traction_map.drive([0.8], range(2), 3)
     tried, chosen = driven
     assert {each.seed for group in tried.values() for each in group} == {1000, 1001, 1002}

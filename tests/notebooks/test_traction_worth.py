@@ -42,20 +42,10 @@ def tables():
     }
 
 
-def means_of(table):
-    return table[table["quantity"] == traction_worth.ERROR]
-
-
-def worth_of(table):
-    return table[table["quantity"] == traction_worth.RATIO].set_index("loop")
-
-
-def test_the_best_comes_first(tables):
-    assert list(means_of(traction_worth.worth_table(tables))["loop"]) == list(FACTORS)
-
-
-def test_what_a_part_is_worth_is_a_ratio_at_equal_seeds(tables):
-    worth = worth_of(traction_worth.worth_table(tables))
+def test_the_best_comes_first_and_a_part_is_worth_a_ratio_at_equal_seeds(tables):
+    table = traction_worth.worth_table(tables)
+    assert list(table[table["quantity"] == traction_worth.ERROR]["loop"]) == list(FACTORS)
+    worth = table[table["quantity"] == traction_worth.RATIO].set_index("loop")
     row = worth.loc["yaw drift as a state: EKF"]
     assert row["low"] < 0.45 / 0.505 < row["high"] and row["high"] - row["low"] < 0.02
     assert row["verdict"] == traction_worth.PAYS

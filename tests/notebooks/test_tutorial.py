@@ -75,6 +75,12 @@ def test_no_exercise_is_solved_before_it_is_answered(executed):
     assert all(answer.startswith("Not yet: ") for answer in blank), blank
 
 
+def test_an_answer_is_shown_with_its_mark_and_as_text():
+    for right, mark in ((True, "✓ Right:"), (False, "✗ Not yet:")):
+        shown = tutorial_checks.Answer(right, "a < b")._repr_html_()
+        assert mark in shown and "a &lt; b" in shown and 'class="answer"' in shown
+
+
 def rk4(xi, omega, p):
     return robot_model.rk4(model.f, ca.DM(xi), omega, ca.DM(p), DT)
 

@@ -84,7 +84,7 @@ def test_each_robot_drives_every_world_with_the_r_of_its_training_fields(monkeyp
             for name, scenarios in groups.items()
         }
 
-    monkeypatch.setattr(unknowns, "_errors", errors)
+    monkeypatch.setattr(unknowns, "true_errors", errors)
     unknowns.drive(range(2), 3, 4)
     tried, chosen = driven
     assert {name[0] for name in chosen} == {*EVERY_WORLD}
@@ -142,16 +142,8 @@ def test_worlds_of_the_posterior_are_driven_as_they_were_drawn():
 
 def test_by_each_rule_the_robot_has_its_noise(monkeypatch):
     driven = {}
-    monkeypatch.setattr(unknowns, "_errors", driven.update)
+    monkeypatch.setattr(unknowns, "true_errors", driven.update)
     unknowns.drive_by_rule(range(2))
     for (world, robot, rule), scenarios in driven.items():
         expected = unknowns.ROBOTS[robot] | unknowns.WORLDS[world] | dict(process_noise=rule)
         assert scenarios == [rhec.Scenario(**expected, seed=seed) for seed in (0, 1)]
-
-
-def test_in_short_it_names_what_pays_most_and_where_the_traction_does():
-    """Of errors that are made up, in which the drift pays, and of the map of this commit."""
-    said = unknowns.in_short(unknowns.worth_table(made_up(drift_pays)))
-    assert said.startswith("Tune the controller's weight R first: it takes ")
-    assert "Then estimate the yaw drift," in said and "**" not in said
-    assert said.count(". ") == 2 and said.endswith(".")

@@ -35,6 +35,8 @@ def test_posterior_is_the_known_one_and_the_priors_where_nothing_is_known(toy):
     assert unit[:, 0].mean() == pytest.approx(known.mean(), abs=0.01)
     assert unit[:, 0].std() == pytest.approx(known.std(), rel=0.06)
     assert np.abs(np.quantile(unit[:, 1], [0.1, 0.5, 0.9]) - [0.1, 0.5, 0.9]).max() < 0.04
+    without = abc_regression.posterior(toy, toy.statistics[7], 500, but_world=7)
+    assert 7 not in toy.world[without.rows]
     assert draws.weights.sum() == pytest.approx(1)
     assert 500 < draws.effective_worlds <= 2000
 
@@ -58,11 +60,6 @@ def test_ranks_are_uniform_for_right_posteriors_and_not_for_narrow_ones(toy):
     assert stats.kstest((wrong + 0.5) / 100, "uniform").pvalue < 1e-6
     shares = abc_regression.coverage(right, 99, (0.5, 0.9))[:, 0]
     assert np.abs(shares - [0.5, 0.9]).max() < 0.1
-
-
-def test_the_own_world_of_a_truth_is_left_out(toy):
-    draws = abc_regression.posterior(toy, toy.statistics[7], 500, but_world=7)
-    assert 7 not in toy.world[draws.rows]
 
 
 def test_a_simulation_counts_as_much_as_its_prior_says(toy):
@@ -125,15 +122,13 @@ def test_worlds_of_the_prior_fill_their_ranges():
         middle = np.sqrt(prior.least * prior.most) if prior.logarithmic else None
         middle = (prior.least + prior.most) / 2 if middle is None else middle
         assert np.mean(worlds[name] < middle) == pytest.approx(0.5, abs=0.02)
+    # That of the slip difference has no hand.
+    of_difference = which_worlds.PRIORS["slip_difference"]
+    assert of_difference.least == -of_difference.most
     for name, choice in which_worlds.CHOICES_OF.items():
         shares = worlds[name].value_counts(normalize=True)
         assert set(shares.index) == set(choice.values)
         assert shares.to_numpy() == pytest.approx(1 / len(choice.values), abs=0.02)
-
-
-def test_the_prior_of_the_slip_difference_has_no_hand():
-    prior = which_worlds.PRIORS["slip_difference"]
-    assert prior.least == -prior.most and not prior.logarithmic
 
 
 @pytest.mark.parametrize("turns", which_worlds.CHOICES_OF["turns"].values)
@@ -177,28 +172,33 @@ def test_posterior_worlds_can_be_driven_and_lie_in_the_prior():
         )
 
 
-def test_the_two_drives_are_on_one_soil_at_different_times():
-    fields = which_worlds.fields_of(
-        which_worlds.worlds_at(which_worlds.first_round(8).unit).iloc[3]
-    )
-    fields |= dict(duration_s=4.0)
+@pytest.fixture(scope="module")
+def world():
+    """The fields of a world of the prior."""
+    unit = which_worlds.first_round(8).unit
+    return which_worlds.fields_of(which_worlds.worlds_at(unit).iloc[3])
+
+
+def test_the_two_drives_are_on_one_soil_at_different_times_with_the_worlds_own_w(world):
     rhe, ekf = (
-        rhec.simulate(which_worlds.scenario(fields, which_worlds.VARIANTS[name], 7))
-        for name in ("rhe_printed", "ekf_free")
+        rhec.simulate(
+            which_worlds.scenario(world | dict(duration_s=4.0), which_worlds.VARIANTS[name], 7)
+        )
+        for name in ("rhe_free", "ekf_free")
     )
     assert np.array_equal(rhe.terrain.kappa, ekf.terrain.kappa)
     assert not np.array_equal(rhe.columns["x_meas_m"], ekf.columns["x_meas_m"])
-    sigma_m = fields["sigma_ekf_m"]
-    assert ekf.scenario.sigma_w == (sigma_m, sigma_m, fields["sigma_ekf_rad"], 0.001)
+    sigma_m, traction = world["sigma_ekf_m"], world["sigma_rhe_traction"]
+    assert ekf.scenario.sigma_w == (sigma_m, sigma_m, world["sigma_ekf_rad"], 0.001)
+    sigma_m = world["sigma_rhe_m"]
+    w = (sigma_m, sigma_m, world["sigma_rhe_rad"], 0.001, traction, traction)
+    assert rhe.scenario.sigma_w == w and rhe.scenario.sigma_v == paper.SIGMA_V
 
 
-def test_excursions_are_counted_with_their_exposure():
+def test_excursions_are_counted_with_their_exposure(world):
     """A robot that leaves the tolerance for 3 samples, returns, and leaves it 4 s later."""
-    fields = which_worlds.fields_of(
-        which_worlds.worlds_at(which_worlds.first_round(8).unit).iloc[3]
-    )
     printed = which_worlds.VARIANTS["rhe_printed"]
-    run = rhec.simulate(which_worlds.scenario(fields | dict(duration_s=30.0), printed, 7))
+    run = rhec.simulate(which_worlds.scenario(world | dict(duration_s=30.0), printed, 7))
     c = run.columns
     c["error_m"][:] = 0.0
     c["on_straight"][:] = True
@@ -208,17 +208,6 @@ def test_excursions_are_counted_with_their_exposure():
     late = c["t_s"] >= 10.0
     steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
     assert excursions == 2 and row_m == pytest.approx(steps_m[late[1:]].sum())
-
-
-def test_a_free_w_is_that_of_the_world():
-    fields = which_worlds.fields_of(
-        which_worlds.worlds_at(which_worlds.first_round(2).unit).iloc[1]
-    )
-    rhe = which_worlds.scenario(fields, which_worlds.VARIANTS["rhe_free"], 7)
-    sigma_m, sigma_rad = fields["sigma_rhe_m"], fields["sigma_rhe_rad"]
-    traction = fields["sigma_rhe_traction"]
-    assert rhe.sigma_w == (sigma_m, sigma_m, sigma_rad, 0.001, traction, traction)
-    assert rhe.sigma_v == paper.SIGMA_V
 
 
 def test_a_prior_on_the_printed_w_is_what_it_says():

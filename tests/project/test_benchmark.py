@@ -160,15 +160,6 @@ def test_times_are_told_in_the_unit_that_suits_them(seconds, text):
     assert tables.in_units(seconds) == text
 
 
-def test_the_first_table_sets_every_tool_beside_the_others():
-    rows = tables.beside_peers().splitlines()
-    assert [row.split("|")[1].strip() for row in rows[2:]][:2] == [
-        "rhec, from Python",
-        "acados, in C",
-    ]
-    assert "do-mpc" in rows[-1] and "–" not in rows[-1]
-
-
 @pytest.mark.parametrize("task", lines.TASKS)
 def test_both_ways_to_write_a_tutorial_come_to_the_same(task):
     ours = importlib.import_module(f"benchmark.tutorials.{task}_rhec").LAST

@@ -18,6 +18,7 @@ from rhec.cli import main
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SHORT = ["--duration-s", "8"]
+COMMANDS = ("lab", "log", "simulate", "campaign", "export")
 
 
 @pytest.fixture
@@ -178,9 +179,8 @@ def test_a_file_stays_until_the_one_that_replaces_it_is_whole(
         file.write(b"half")
         raise OSError("No space left on device")
 
-    writers = [(pd.DataFrame, "to_csv", run), (pd.DataFrame, "to_csv", replay)]
-    writers += [(pd.DataFrame, "to_parquet", replay), (Figure, "savefig", run)]
-    writers += [(pd.DataFrame, "to_parquet", campaign)]
+    writers = [(pd.DataFrame, "to_csv", run), (Figure, "savefig", run)]
+    writers += [(pd.DataFrame, "to_parquet", replay), (pd.DataFrame, "to_parquet", campaign)]
     for owner, name, words in writers:
         with monkeypatch.context() as failing:
             failing.setattr(owner, name, half)
@@ -205,33 +205,25 @@ def test_help_needs_no_utf_8_and_no_reader_that_reads_it_all(tmp_path):
     assert not ended.stderr and b"Usage: rhec simulate" in ended.stdout
 
 
-def test_help_has_unit_range_and_default_of_every_field(capsys, monkeypatch):
+def test_help_has_an_example_of_each_command_and_every_field_that_it_takes(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
-    assert main(["simulate", "--help"]) == 0
-    text = capsys.readouterr().out
+    text = {}
+    for name in ("", *COMMANDS):
+        assert main([*filter(None, [name]), "--help"]) == 0
+        text[name] = capsys.readouterr().out
+    assert re.findall("^│ ([a-z]+) ", text[""], re.MULTILINE) == [*COMMANDS]  # in the order of use
+    for name in COMMANDS:
+        assert f"Usage: rhec {name}" in text[name]
+        assert name == "lab" or f"For example: rhec {name} " in text[name]
     for field in dataclasses.fields(rhec.Scenario):
         is_object = field.name in ("terrain", "path", "faults", "controller")
-        assert (f" --{field.name.replace('_', '-')} " in text) != is_object
-    assert "Set speed [m/s], 0 to 1.4. [default: 0.5]" in text
-
-
-def test_every_command_has_help(capsys):
-    assert main(["--help"]) == 0
-    names = re.findall("^│ ([a-z]+) ", capsys.readouterr().out, re.MULTILINE)
-    assert names == ["lab", "log", "simulate", "campaign", "export"]  # in the order of use
-    for name in names:
-        assert main([name, "--help"]) == 0
-        text = capsys.readouterr().out
-        assert f"Usage: rhec {name}" in text
-        assert name == "lab" or f"For example: rhec {name} " in text
-
-
-def test_export_names_only_what_changes_the_code(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "1000")
-    assert main(["export", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(f" --{name} " in text for name in ("estimator", "q", "turns", "sensors"))
-    assert not any(f" --{name} " in text for name in ("mu-mean", "gnss-sigma-m", "seed"))
+        assert (f" --{field.name.replace('_', '-')} " in text["simulate"]) != is_object
+    assert "Set speed [m/s], 0 to 1.4. [default: 0.5]" in text["simulate"]
+    # Of an export, what changes its code alone.
+    for option in ("estimator", "q", "turns", "sensors"):
+        assert f" --{option} " in text["export"]
+    for option in ("mu-mean", "gnss-sigma-m", "seed"):
+        assert f" --{option} " not in text["export"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

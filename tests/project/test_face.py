@@ -242,14 +242,7 @@ def test_every_estimator_and_controller_has_the_same_verbs(name):
     np.testing.assert_array_equal(answers_of(made, samples), expected)
 
 
-def test_without_a_model_they_are_the_papers():
-    with no_compiler():
-        assert isinstance(rhec.RHE(horizon=2, model=None), own_loop.RHE)
-        assert isinstance(rhec.RHC(horizon=2, model=None), own_loop.RHC)
-        assert not isinstance(rhec.RHE(horizon=2, **SETTINGS), own_loop.RHE)
-
-
-def test_a_class_of_ones_own_derives_from_an_estimator():
+def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_them():
     class Counting(rhec.RHE):
         samples = 0
 
@@ -258,7 +251,10 @@ def test_a_class_of_ones_own_derives_from_an_estimator():
             return super().feedback(z, sigma_w)
 
     with no_compiler():
+        assert isinstance(rhec.RHE(horizon=2, model=None), own_loop.RHE)
+        assert isinstance(rhec.RHC(horizon=2, model=None), own_loop.RHC)
         made = Counting(horizon=2, **SETTINGS)
+    assert not isinstance(made, own_loop.RHE)
     made.step((0.0, 0.5))
     assert type(made) is Counting and made.samples == 1
 

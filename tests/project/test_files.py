@@ -42,16 +42,6 @@ def test_a_file_is_replaced_once_it_is_whole(tmp_path):
     assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
 
 
-@pytest.mark.parametrize("error", [ValueError("a bug"), KeyboardInterrupt(), OSError("full")])
-def test_an_older_file_stays_if_writing_fails(tmp_path, error):
-    file = tmp_path / "log.csv"
-    file.write_bytes(b"old")
-    with pytest.raises(type(error)), replacing(file) as unfinished:
-        unfinished.write(b"half")
-        raise error
-    assert file.read_bytes() == b"old" and list(tmp_path.iterdir()) == [file]
-
-
 TABLE = pd.DataFrame(dict(a=[1.0]))
 # What is written: the library's function that fails in the middle of it, and the call.
 WRITTEN = {
