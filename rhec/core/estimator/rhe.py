@@ -382,8 +382,10 @@ def _build_linearise(window):
             # Intervals before the first sample have no length, as in shift.
             dt_s = window.dt_s * (memory.age >= N - i)
             noise = window.at(i, **noises)
-            of_node = dict(z=z[i], s=s[i], v=v[i], dt_s=dt_s)
-            node = inlined(filter_step, before | of_node | noise)
+            given = before | dict(z=z[i], s=s[i], v=v[i], dt_s=dt_s) | noise
+            # Where its products are loops, the compiler would take longer for N copies of these.
+            is_short = interval.n_s < LOOPS
+            node = inlined(filter_step, given) if is_short else filter_step(**given)
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
         filtered = {name: ca.horzcat(*(node[name] for node in nodes)) for name in Filtered._fields}
