@@ -70,6 +70,25 @@ def test_a_loop_stays_within_a_hard_bound(hard, seed):
     assert n_ok > 0.85 * 80
 
 
+@pytest.mark.parametrize("iterations", [4, 12])
+@pytest.mark.parametrize("cost", [1.0, 1e3, 1e-6])
+def test_a_mirrored_start_or_another_unit_of_cost_leads_along_the_same_way(hard, cost, iterations):
+    """Long before the iterations end, while the merit shortens their steps."""
+    for seed in range(8):
+        first = plan(hard, start(seed), iterations)
+        hard.update(q=tuple(cost * Q), r=(cost * R,))
+        mirrored = -plan(hard, -start(seed), iterations)
+        hard.update(q=tuple(Q), r=(R,))
+        np.testing.assert_allclose(mirrored, first, rtol=0, atol=1e-9)
+
+
+def plan(rhc, x, iterations):
+    """The states (4, N + 1) that are planned from x after so many iterations."""
+    rhc.restart()
+    rhc.solve(x=x, x_ref=GOAL, iterations=iterations)
+    return rhc.x_plan
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_no_iteration_is_worse_by_cost_and_bound_and_dynamics(hard, seed):
     """With any prices of the last two, such an iteration would raise the merit."""

@@ -137,9 +137,21 @@ def unpack(vector, shapes):
 
 def every(conditions):
     """1 where all of these comparisons hold; their sum takes less time than CasADi's mmin."""
+    if isinstance(conditions, ca.MX):  # whose sum is a product with a vector of ones
+        return ca.sumsqr(conditions) == conditions.numel()
     return ca.sum1(ca.vec(conditions)) == conditions.numel()
 
 
 def select_inputs(function, values):
     """Those of `values` that the Function takes, in the order of its inputs."""
     return {name: values[name] for name in function.name_in() if name in values}
+
+
+def inlined(function, values):
+    """The results, by name, of a Function of those of these values that it takes.
+
+    One of MX is not called: it would copy its results into those of the Function around it.
+    """
+    arguments = [values[name] for name in function.name_in()]
+    results = function.call(arguments, function.is_a("MXFunction"), False)
+    return dict(zip(function.name_out(), results))

@@ -27,7 +27,7 @@ The words, here and there:
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core._casadi.build import casadi_function, inlined, select_inputs
 from rhec.core.estimator import newest_interval, noise_level
 
 # The feedback of `solve`, if it is another: its input `iteration` is 1 at first and then 2. That of
@@ -57,14 +57,6 @@ def _shapes(function, *without):
     return {key: function.sparsity_in(key) for key in function.name_in() if key not in without}
 
 
-def _call(function, values):
-    """The results of a Function of those of these values that it takes, by name."""
-    arguments = [values[name] for name in function.name_in()]
-    # Inlined, an MX Function does not copy its results into those of the one around it.
-    results = function.call(arguments, function.is_a("MXFunction"), False)
-    return dict(zip(function.name_out(), results))
-
-
 def noise_as_used(window, values, scale):
     """`values` with the variances V of a time when the noise had this scale."""
     return values | dict(V=noise_level.scaled(window, values["V"], scale))
@@ -77,7 +69,7 @@ def _wrap_shift(window, shift_of_rhe, memory, symbols):
         if window.noisy:  # the newest column is not known before the feedback
             W = inputs["W_window"]
             pieces["W_window"] = ca.horzcat(W[:, 1:], W[:, -1])
-        return _call(shift_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"])) | pieces
+        return inlined(shift_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"])) | pieces
 
     return shift
 
@@ -87,7 +79,7 @@ def _wrap_linearise(window, linearise_of_rhe, symbols):
 
     @casadi_function("guarded_linearise", symbols, **shapes)
     def linearise(**inputs):
-        return _call(linearise_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"]))
+        return inlined(linearise_of_rhe, noise_as_used(window, inputs, inputs["noise_scale"]))
 
     return linearise
 
@@ -107,7 +99,7 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         if intervals:
             given |= intervals(**select_inputs(intervals, given))
         given |= is_clean(**select_inputs(is_clean, given))
-        verdict = _call(function, given)
+        verdict = inlined(function, given)
         chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
         given = newest_interval.replaced(given, chosen)
         given = noise_as_used(window, given, verdict["scale_used"])
@@ -160,7 +152,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
         inputs = noise_as_used(window, inputs, inputs["scale_used"])
         noises = whole_noise(window, inputs)
         values = inputs | noises | dict(z_N=inputs["z_used"], ok=inputs["kept"])
-        result = expand_of_rhe(**select_inputs(expand_of_rhe, values))
+        result = inlined(expand_of_rhe, values)
         kkt = ca.if_else(inputs["ok"], result.pop("kkt"), ca.DM.nan())
         if pieces_of_newest:
             within = newest_interval.within_range(window, result["v"], inputs["v"], inputs["V"])
@@ -173,7 +165,7 @@ def _wrap_expand(window, expand_of_rhe, symbols):
             is_alone = ca.logic_or(is_alone, settles)
         newest = dict(goes_on=1 - is_alone)
         newest |= dict(W=inputs["W_used"]) if window.noisy else {}
-        memory |= restarted(**select_inputs(restarted, inputs | memory | newest))
+        memory |= inlined(restarted, inputs | memory | newest)
         return memory | dict(kkt=kkt)
 
     return expand

@@ -11,8 +11,9 @@ import casadi as ca
 from rhec.core.solver.gauss_newton import symmetric
 
 # The corrected mean m (n,) and covariance P (n, n), gains K (n, n_outputs), weighted innovations
-# e = y / S (n_outputs,), the deviance, -2 log likelihood of z up to a constant, and its part y²/S.
-Update = namedtuple("Update", "m P K e deviance distance")
+# e = y / S (n_outputs,), the deviance, -2 log likelihood of z up to a constant, its part y²/S, and
+# the innovations y with their variances S (n_outputs,).
+Update = namedtuple("Update", "m P K e deviance distance y S")
 
 
 def update(m, P, z, V, outputs, s_bar):
@@ -31,7 +32,8 @@ def update(m, P, z, V, outputs, s_bar):
     """
     gains = []
     weighted = []
-    deviance = 0
+    innovations = []
+    variances = []
     distance = ca.SX(0)
     for output in outputs:
         is_valid = output.is_valid(z)
@@ -45,6 +47,17 @@ def update(m, P, z, V, outputs, s_bar):
         P = symmetric(P - K @ PH.T)
         gains.append(K)
         weighted.append(y * weight)
-        deviance += ca.if_else(is_valid, y**2 / S + ca.log(S), 0)
+        innovations.append(y)
+        variances.append(S)
         distance += y**2 * weight
-    return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance, distance)
+    y, S = ca.vertcat(*innovations), ca.vertcat(*variances)
+    deviance = deviance_of(z, outputs, y, S)
+    return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance, distance, y, S)
+
+
+def deviance_of(z, outputs, y, S):
+    """Σ (y²/S + log S) of those outputs that the measurements z (n_z,) have."""
+    valid = (output.is_valid(z) for output in outputs)
+    return sum(
+        ca.if_else(is_valid, y[i] ** 2 / S[i] + ca.log(S[i]), 0) for i, is_valid in enumerate(valid)
+    )

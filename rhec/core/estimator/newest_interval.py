@@ -21,7 +21,7 @@ import functools
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core._casadi.build import casadi_function, every, select_inputs, short_cut
 from rhec.core.model import robot_model
 from rhec.core.model.limits import is_plausible
 
@@ -71,60 +71,106 @@ def _prepared(window, values):
 
 
 def _build_interval(window):
-    """The Function of one variant; where it has no finite slopes, it stays as it was prepared."""
+    """The Function of the interval at the inputs v_m, and whether its slopes are finite."""
     interval = window.interval
-    s, P, _, z, *_ = window.shapes
+    s, P, v, *_ = window.shapes
 
     @casadi_function("rhe_newest_interval", window.symbols)
-    def again(
-        prepared: pieces_of(window),
-        m_M: s,
-        P_M: P,
-        s_M: s,
-        z_N: z,
-        age: (1, 1),
-        iteration: (1, 1),
-        noise: window.noise,
-    ):
-        v_m, _ = interval.input_noise(z_N, prepared["v_N"], **noise)
+    def again(m_M: s, P_M: P, s_M: s, v_m: v, age: (1, 1), iteration: (1, 1)):
         F, D, B = interval.linearised(s_M, v_m, window.dt_s * (age >= 1))
         m, P = window.propagated(F, D, m_M, P_M, s_M)
         P = ca.densify(P)
         new = dict(s_N=F, v_N=v_m, B_N=B, m_N=m, P_N=P, F_newest=F, D_newest=D)
-        is_new = is_plausible(ca.veccat(F, D, B, m, P)) * (iteration < 2)
-        return {name: ca.if_else(is_new, new[name], prepared[name]) for name in prepared}
+        numbers = ca.vertcat(F, D.nz[:], B.nz[:], m, ca.vec(P))
+        return new | dict(is_new=is_plausible(numbers) * (iteration < 2))
 
     return again
+
+
+@functools.cache
+def _build_either(window):
+    """The Function (is_first, pieces of one interval, pieces of another) -> those of either."""
+    shapes = dict(is_first=(1, 1))
+    for which in ("first", "second"):
+        shapes |= {f"{name}_{which}": shape for name, shape in pieces_of(window).items()}
+
+    @short_cut("is_first", ca.MX)
+    @casadi_function("either_interval", ca.MX, **shapes)
+    def either(is_first, **values):
+        return {
+            name: ca.if_else(is_first, values[f"{name}_first"], values[f"{name}_second"])
+            for name in pieces_of(window)
+        }
+
+    return either
+
+
+def _either(window, is_first, first, second):
+    """The pieces of one of two intervals."""
+    pairs = {f"{name}_first": piece for name, piece in first.items()}
+    pairs |= {f"{name}_second": piece for name, piece in second.items()}
+    return _build_either(window)(is_first=is_first, **pairs)
+
+
+def _build_kept(window, again):
+    """The Function of the variant with the inputs that are kept, unless they are the measured ones.
+
+    Nearly always they are. Then nothing is computed.
+    """
+    pieces = pieces_of(window)
+    shapes = {f"{name}_measured": shape for name, shape in pieces.items()}
+    shapes |= pieces | {name: again.sparsity_in(name) for name in again.name_in()}
+
+    @short_cut("is_same", ca.MX)
+    @casadi_function("rhe_kept_interval", ca.MX, is_same=(1, 1), **shapes)
+    def kept(is_same, **inputs):
+        found = again(**select_inputs(again, inputs))
+        prepared = {name: inputs[name] for name in pieces}
+        found = _either(window, found.pop("is_new"), found, prepared)
+        return {
+            name: ca.if_else(is_same, inputs[f"{name}_measured"], found[name]) for name in pieces
+        }
+
+    return kept
 
 
 def build(window, judge):
     """The Function (arrays of the phases, z_N, …) -> both variants, by name."""
     again = _build_interval(window)
-    kept = judge.build_kept(window)
+    kept = _build_kept(window, again)
+    choose = judge.build_kept(window)
     pieces = pieces_of(window)
-    shapes = {key: again.sparsity_in(key) for key in again.name_in() if key not in ("s_M", *pieces)}
-    shapes |= {key: kept.sparsity_in(key) for key in kept.name_in()}
+    shapes = {name: choose.sparsity_in(name) for name in choose.name_in()} | window.noise
     shapes |= needs(window) | {name: pieces[name] for name in PIECES}
 
     @casadi_function("newest_intervals", ca.MX, **shapes)
     def intervals(**inputs):
-        given = inputs | _prepared(window, inputs) | dict(s_M=inputs["s"][:, window.N - 1])
-        z_kept = kept(**select_inputs(kept, inputs))["z_kept"]
-        results = {}
-        for which, z in dict(measured=inputs["z_N"], kept=z_kept).items():
-            found = again(**select_inputs(again, given | dict(z_N=z)))
-            results |= {f"{name}_{which}": found[name] for name in pieces}
-        return results
+        noise = {name: inputs[name] for name in window.noise}
+        prepared = _prepared(window, inputs)
+        z_kept = choose(**select_inputs(choose, inputs))["z_kept"]
+        v_m, v_kept = (
+            window.interval.input_noise(z, inputs["v_N"], **noise)[0]
+            for z in (inputs["z_N"], z_kept)
+        )
+        given = inputs | dict(s_M=inputs["s"][:, window.N - 1], v_m=v_m)
+        found = again(**select_inputs(again, given))
+        measured = _either(window, found.pop("is_new"), found, prepared)
+        given |= prepared | {f"{name}_measured": piece for name, piece in measured.items()}
+        given |= dict(v_m=v_kept, is_same=every(v_kept == v_m))
+        others = kept(**select_inputs(kept, given))
+        results = {f"{name}_measured": piece for name, piece in measured.items()}
+        return results | {f"{name}_kept": piece for name, piece in others.items()}
 
     return intervals
 
 
 def chosen(window, values, verdict):
     """The pieces that go with the judge's verdict."""
-    pairs = {
-        name: (values[f"{name}_measured"], values[f"{name}_kept"]) for name in pieces_of(window)
-    }
-    return {name: ca.if_else(verdict["as_measured"], *pair) for name, pair in pairs.items()}
+    variants = (
+        {name: values[f"{name}_{which}"] for name in pieces_of(window)}
+        for which in ("measured", "kept")
+    )
+    return _either(window, verdict["as_measured"], *variants)
 
 
 def within_range(window, v_new, v, V):
@@ -146,6 +192,7 @@ def replaced(values, pieces):
     changed = dict(pieces)
     for array, piece in _COLUMNS.items():
         if array in values and piece in pieces:
-            kept = values[array].size2() - pieces[piece].size2()
-            changed[array] = ca.horzcat(values[array][:, :kept], pieces[piece])
+            # In parts of equal widths, so that whoever splits it again gets these without a copy.
+            *before, _ = ca.horzsplit(values[array], pieces[piece].size2())
+            changed[array] = ca.horzcat(*before, pieces[piece])
     return values | changed

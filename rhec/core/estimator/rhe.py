@@ -24,7 +24,7 @@ import numpy as np
 
 from rhec.core._casadi import compiled
 from rhec.core._casadi import validation as valid
-from rhec.core._casadi.build import casadi_function, select_inputs, short_cut
+from rhec.core._casadi.build import casadi_function, inlined, select_inputs, short_cut
 from rhec.core._casadi.c_text import LARGE
 from rhec.core.estimator import kalman, newest_interval, window_bounds, window_noise
 from rhec.core.estimator.estimate import (
@@ -197,8 +197,10 @@ class Window(NamedTuple):
     def corrected(self, B, m, P, v, z, s_bar, **noise):
         """A node's prediction after its sample z: `predict_input`, then `kalman.update`."""
         if isinstance(P, ca.MX):
-            values = _build_corrected(self)(B, m, P, v, z, s_bar, *noise.values())
-            return kalman.Update(*values)
+            found = _build_corrected(self)(B, m, P, v, z, s_bar, *noise.values())
+            *found, y, S = found
+            deviance = kalman.deviance_of(z, self.interval.outputs, y, S)
+            return kalman.Update(*found, deviance, None, y, S)
         m, P = self.predict_input(B, m, P, v, z, **noise)
         return kalman.update(m, P, z, noise["V"], self.interval.outputs, s_bar)
 
@@ -208,6 +210,12 @@ class Window(NamedTuple):
             no_slopes = ca.DM(self.interval.sparsities["B"], 0)
             return self.corrected(no_slopes, m, P, v, z, s_bar, **noise)
         return kalman.update(m, P, z, noise["V"], self.interval.outputs, s_bar)
+
+    def times_inverse(self, P, b):
+        """P⁻¹ b."""
+        if isinstance(P, ca.MX) and self.interval.n_s < LOOPS:
+            return _build_times_inverse(self.interval.n_s)(P, b)
+        return gauss_newton.solve_positive(P, b)
 
     def propagated(self, F, D, m, P, s_bar, added=0):
         """Mean F + A (m - s̄) and covariance A P A' + added after an interval with A = A_0 + D."""
@@ -228,9 +236,20 @@ def _build_corrected(window):
 
     @casadi_function("rhe_corrected")
     def corrected(B: B, m: s, P: P, v: v, z: z, s_bar: s, noise: window.noise):
-        return window.corrected(B, m, P, v, z, s_bar, **noise)
+        found = window.corrected(B, m, P, v, z, s_bar, **noise)
+        # Nearly all callers need no deviance, and its logarithms take a tenth of the time.
+        return {name: getattr(found, name) for name in ("m", "P", "K", "e", "y", "S")}
 
     return corrected
+
+
+@functools.cache
+def _build_times_inverse(n):
+    @casadi_function("times_inverse")
+    def times_inverse(P: (n, n), b: (n, 1)):
+        return dict(x=gauss_newton.solve_positive(P, b))
+
+    return times_inverse
 
 
 @functools.cache
@@ -365,7 +384,10 @@ def _build_linearise(window):
             # Intervals before the first sample have no length, as in shift.
             dt_s = window.dt_s * (memory.age >= N - i)
             noise = window.at(i, **noises)
-            node = filter_step(**before, z=z[i], s=s[i], v=v[i], dt_s=dt_s, **noise)
+            given = before | dict(z=z[i], s=s[i], v=v[i], dt_s=dt_s) | noise
+            # Where its products are loops, the compiler would take longer for N copies of these.
+            is_short = interval.n_s < LOOPS
+            node = inlined(filter_step, given) if is_short else filter_step(**given)
             before = dict(B=node["B"], v_before=v[i], m=node["m"], P=node["P"])
             nodes.append(node)
         filtered = {name: ca.horzcat(*(node[name] for node in nodes)) for name in Filtered._fields}
@@ -388,7 +410,7 @@ def _build_update_newest(window):
     def update_newest(prediction: window.prediction, s_N: s, z_N: z, noise: window.noise):
         """Kalman update by z_N, and the QP  min ½ (q - q̂)' H (q - q̂) with H = (C P C')⁻¹."""
         B, v, m, P = prediction.values()
-        m, P, K, e, deviance, _ = window.corrected(B, m, P, v, z_N, s_N, **noise)
+        m, P, K, e, deviance, *_ = window.corrected(B, m, P, v, z_N, s_N, **noise)
         P_q = C @ P @ C.T
         if not n_q:
             H = ca.DM(0, 0)
@@ -509,7 +531,7 @@ def _build_passes(window):
     def oldest(adjoint: s, update: update, m: s, P: P, s: s, z: z, noise: noise):
         """The oldest node's new state m - P λ, and its part of ∇J·Δw, the arrival cost's too."""
         s_new = m - P @ adjoint_before_update(outputs, adjoint, *update.values(), s, z)
-        arrival = ca.dot(gauss_newton.solve_positive(P, s - m), s_new - s)  # H_N = P⁻¹
+        arrival = ca.dot(window.times_inverse(P, s - m), s_new - s)  # H_N = P⁻¹
         return dict(s_new=s_new, descent=arrival + _descent(outputs, s_new, s, s, z, noise["V"]))
 
     @casadi_function("rhe_forward")
@@ -612,7 +634,7 @@ def _build_expand(window, linearise, feedback, whole_window):
         z_N: z_N,
     ):
         """All other unknowns of the window, and the KKT tolerance of the linearisation point."""
-        memory = memory._replace(z=ca.horzcat(memory.z[:, :N], z_N))
+        memory = memory._replace(z=ca.horzcat(*ca.horzsplit(memory.z)[:-1], z_N))
         s, v = map(ca.horzsplit, (memory.s, memory.v))
         measured, updates, intervals = _split(window, memory.z, noises, filtered, constrained)
         adjoint = ca.densify(C.T @ constrained.multipliers)
@@ -626,7 +648,7 @@ def _build_expand(window, linearise, feedback, whole_window):
         if whole_window:  # no other node may stay implausible either: it would remain for long
             kept = kept * is_plausible(ca.veccat(*s_new, *v_new, memory.m, memory.P))
         pieces = memory._asdict() | solution
-        return next_window(**pieces, kept=kept, P_0=P_0) | dict(kkt=kkt)
+        return inlined(next_window, pieces | dict(kept=kept, P_0=P_0)) | dict(kkt=kkt)
 
     return expand
 

@@ -13,7 +13,7 @@ near a solution (Maratos effect), and no more than a few of them can fail to con
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function
+from rhec.core._casadi.build import casadi_function, in_turn
 
 PENALTY = (2, 1)  # μ and the least |D| so far; zeros before the first step
 HALVINGS = 10  # of the step, at most; a solution or a bad linearisation needs more, and stays
@@ -40,6 +40,7 @@ def line_search(name, unknowns, data, cost_and_gaps):
         The step is zero where no length is good enough.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
+    lengths = build_lengths(name, HALVINGS, unknowns, data, cost_and_gaps)
 
     @casadi_function(name, ca.MX, **unknowns, **full, penalty=PENALTY, **data)
     def search(penalty, **values):
@@ -53,28 +54,75 @@ def line_search(name, unknowns, data, cost_and_gaps):
         penalty = ca.fmax(penalty, ca.if_else(gaps > 0, needed, 0))
         merit = cost + penalty * gaps
         descent = slope - penalty * gaps
-        length = ca.MX(0)
-        for halvings in reversed(range(HALVINGS)):
-            alpha = 0.5**halvings
-            moved = {key: old[key] + alpha * step[key] for key in unknowns}
-            cost, gaps = called(cost_and_gaps, moved, given)
-            enough = merit + _SUFFICIENT * alpha * descent + 1e-12 * ca.fabs(merit)
-            length = ca.if_else(cost + penalty * gaps <= enough, alpha, length)
+        cost, gaps = called(cost_and_gaps, moved(old, step, 1), given)
+        limits = dict(penalty=penalty, merit=merit, slope=_SUFFICIENT * descent)
+        limits |= dict(rounding=1e-12 * ca.fabs(merit))
+        steps = {f"{key}_step": change for key, change in step.items()}
+        length = lengths(length=1, cost=cost, gaps=gaps, **limits, **old, **steps, **given)["good"]
         change = ca.fabs(descent) / ca.fmax(ca.fabs(merit), 1e-12)
         small = change <= DONE
         is_progress = ca.logic_or(least == 0, ca.fabs(descent) <= _PROGRESS * least)
         length = ca.if_else(ca.logic_or(small, is_progress * (least > 0)), 1, length)
         least = ca.if_else(is_progress, ca.fabs(descent), least)
         # A full step is taken to the last bit, since it ends exactly at the bounds.
+        parts = moved(old, step, length)
         result = {
-            key: ca.if_else(length == 1, values[f"{key}_full"], old[key] + length * step[key])
-            for key in unknowns
+            key: ca.if_else(length == 1, values[f"{key}_full"], parts[key]) for key in unknowns
         }
         flags = dict(near=change <= NEAR, converged=change <= CONVERGED, done=small)
         carried = dict(penalty_after=ca.vertcat(penalty, least))
         return result | flags | dict(is_full=length == 1) | carried
 
     return search
+
+
+def build_lengths(name, most, unknowns, data, cost_and_gaps):
+    """Build the Function that finds the first of some lengths α, α/2, α/4, … that is good enough:
+
+        J(w + α Δw) + μ ‖c(w + α Δw)‖₁ <= merit + α slope + rounding
+
+    J and ‖c‖₁ at the first one are given. Each other is tried only if none before it is good.
+
+    Args:
+        name: Of the search, before those of its Functions.
+        most: How many lengths there are.
+        unknowns: {name: shape} of the unknowns w.
+        data: {name: shape} of what cost and gaps depend on besides.
+        cost_and_gaps: Function (unknowns, data) -> (J, ‖c‖₁), by name.
+
+    Returns:
+        The Function (length, good, cost, gaps, penalty μ, merit, slope, rounding, unknowns,
+        unknowns with "_step" for Δw, data) -> (length, good: the length, 0 if none is good).
+    """
+    numbers = ("length", "good", "cost", "gaps", "penalty", "merit", "slope", "rounding")
+    steps = {f"{unknown}_step": shape for unknown, shape in unknowns.items()}
+    shapes = dict.fromkeys(numbers, (1, 1)) | unknowns | steps | data
+
+    def judged(length, cost, gaps, penalty, merit, slope, rounding, **_):
+        is_good = cost + penalty * gaps <= merit + slope * length + rounding
+        return dict(length=length / 2, good=ca.if_else(is_good, length, 0))
+
+    @casadi_function(f"{name}_first", ca.MX, **shapes)
+    def first(**inputs):
+        return judged(**inputs)
+
+    @casadi_function(f"{name}_next", ca.MX, **shapes)
+    def following(**inputs):
+        step = {key: inputs[f"{key}_step"] for key in unknowns}
+        at = moved(inputs, step, inputs["length"])
+        cost, gaps = called(cost_and_gaps, at, {key: inputs[key] for key in data})
+        return judged(**inputs | dict(cost=cost, gaps=gaps))
+
+    then = in_turn(name, shapes, ("length", "good"), lambda inputs, after: after["good"] > 0)
+    others = following
+    for left in range(2, most):
+        others = then(f"last_{left}", following, others)
+    return then("lengths", first, others)
+
+
+def moved(unknowns, step, length):
+    """w + α Δw, by the names of the step."""
+    return {key: unknowns[key] + length * change for key, change in step.items()}
 
 
 def called(cost_and_gaps, unknowns, data):

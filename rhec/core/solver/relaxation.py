@@ -21,11 +21,19 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
 from rhec.core.solver.interior_point import NO_PRICE
-from rhec.core.solver.line_search import CONVERGED, DONE, NEAR, called, slope_of
+from rhec.core.solver.line_search import (
+    CONVERGED,
+    DONE,
+    NEAR,
+    build_lengths,
+    called,
+    moved,
+    slope_of,
+)
 
 RELIEF = 1  # place in `penalty` of the decades by which the QP's own price is lower
 _MOST_RELIEF = 4
-_HALVINGS = 6  # of the share, at most
+_LENGTHS = 6  # that are tried, each half of the one before
 _ROUNDING = 1e-9  # of the merit
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
@@ -55,12 +63,15 @@ def relaxation(name, unknowns, data, cost):
     carried = 3 + sum(rows * columns for rows, columns in unknowns.values())
     known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1), price=rows, excess=rows)
     merit = _build_merit(unknowns, data, cost)
+    lengths = build_lengths("rhc_search", _LENGTHS, unknowns, data | dict(price=rows), merit)
 
     @casadi_function(name, ca.MX, **unknowns, **full, **known, **data)
     def search(penalty, solved, kkt, price, excess, **values):
         share, relief, mu, last = ca.vertsplit(penalty, [0, 1, 2, 3, carried])
         change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
-        step = ca.veccat(*(values[f"{key}_full"] - values[key] for key in unknowns))
+        old = {key: values[key] for key in unknowns}
+        steps = {key: values[f"{key}_full"] - values[key] for key in unknowns}
+        step = ca.veccat(*steps.values())
         stays = ca.norm_inf(step) <= _NO_STEP * ca.norm_inf(_extent(values, unknowns))
         share = _next_share(share, last, step)
         near, converged, ended = (
@@ -70,7 +81,7 @@ def relaxation(name, unknowns, data, cost):
         # A step that ends the iterations is too small for a merit.
         is_free = ca.logic_or(ca.logic_not(has_hard), ended)
         given = {key: values[key] for key in data} | dict(price=price)
-        good, mu_new = _good_share(merit, unknowns, values, given, share, mu)
+        good, mu_new = _good_share(merit, lengths, old, steps, given, share, mu)
         share = ca.if_else(is_free, share, good)
         taken = share > 0
         # A comparison with a number that is none is false; then the QP was not solved, either.
@@ -79,10 +90,8 @@ def relaxation(name, unknowns, data, cost):
         is_lower = has_hard * ca.logic_not(better) * (relief < _MOST_RELIEF)
         relief_after = relief - is_higher + is_lower
         is_full = ca.logic_or(ended, share == 1)
-        result = {}
-        for key in unknowns:
-            part = values[key] + share * (values[f"{key}_full"] - values[key])
-            result[key] = ca.if_else(is_full, values[f"{key}_full"], part)
+        parts = moved(old, steps, share)
+        result = {key: ca.if_else(is_full, values[f"{key}_full"], parts[key]) for key in unknowns}
         # Where no share is good with the lowest price, the next iteration would be the same.
         is_stuck = ca.logic_not(taken) * ca.logic_not(is_lower)
         done = ca.logic_or(ended * ca.logic_not(is_higher), is_stuck)
@@ -110,29 +119,21 @@ def _build_merit(unknowns, data, cost):
     return merit
 
 
-def _good_share(merit, unknowns, values, given, share, mu):
+def _good_share(merit, lengths, old, step, given, share, mu):
     """The first of share, share / 2, … that does not raise φ, or 0; and μ.
 
     μ makes what is missing at the ends of the intervals twice as dear as what closing it costs, by
     the cost's slope, and by its rise along the share.
     """
-    old = {key: values[key] for key in unknowns}
-    steps = {key: values[f"{key}_full"] - values[key] for key in unknowns}
-
-    def at(length):
-        found = called(merit, {key: old[key] + length * steps[key] for key in unknowns}, given)
-        return ca.vertcat(found[0], found[1])
-
-    cost, gaps = ca.vertsplit(at(0))
-    tried = [at(0.5**halvings * share) for halvings in range(_HALVINGS)]
-    rise = ca.fmax((tried[0][0] - cost) / share, slope_of(merit, old, steps, given))
+    cost, gaps = called(merit, old, given)
+    cost_there, gaps_there = called(merit, moved(old, step, share), given)
+    rise = ca.fmax((cost_there - cost) / share, slope_of(merit, old, step, given))
     mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
     before = cost + mu * gaps
-    most = before + _ROUNDING * ca.fabs(before)
-    good = ca.MX(0)
-    for halvings, found in reversed(list(enumerate(tried))):
-        good = ca.if_else(found[0] + mu * found[1] <= most, 0.5**halvings * share, good)
-    return good, mu
+    limits = dict(penalty=mu, merit=before, slope=0, rounding=_ROUNDING * ca.fabs(before))
+    first = dict(length=share, cost=cost_there, gaps=gaps_there)
+    steps = {f"{key}_step": change for key, change in step.items()}
+    return lengths(**first, **limits, **old, **steps, **given)["good"], mu
 
 
 def _extent(values, unknowns):
