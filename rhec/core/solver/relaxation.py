@@ -27,6 +27,7 @@ RELIEF = 1  # place in `penalty` of the decades by which the QP's own price is l
 _MOST_RELIEF = 4
 _HALVINGS = 6  # of the share, at most
 _ROUNDING = 1e-9  # of the merit
+_OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
 _NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration ends
@@ -127,7 +128,9 @@ def _good_share(merit, unknowns, values, given, share, mu):
     rise = ca.fmax((tried[0][0] - cost) / share, slope_of(merit, old, steps, given))
     mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
     before = cost + mu * gaps
-    most = before + _ROUNDING * ca.fabs(before)
+    # Far from the origin the states' own rounding counts more than that of the merit.
+    lost = _OF_STATES * ca.norm_1(ca.veccat(*old.values()))
+    most = before + _ROUNDING * ca.fabs(before) + (mu + ca.mmax(given["price"])) * lost
     good = ca.MX(0)
     for halvings, found in reversed(list(enumerate(tried))):
         good = ca.if_else(found[0] + mu * found[1] <= most, 0.5**halvings * share, good)
