@@ -24,7 +24,7 @@ those of a position that has moved for good are all alike, those of a wrong spee
 window restarts at the fourth sample rejected in a row if two second differences of the innovations
 are no more than noise,
 
-    (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit  with the variances in S alone,
+    (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit,
 
 where 6 stands because that of white noise with variance σ² is 6σ² (von Neumann, 1941). Up to three
 wild samples therefore move nothing. Among samples that scatter, two small ones are found by chance:
@@ -270,7 +270,7 @@ class InnovationGate:
         s_N = seen.at_kept.s
         s, _ = seen.at_kept._replace(m=s_N).given(window, seen.kept, noise)
         y = new_start.innovation(outputs, z_N, s, s_N)
-        square = noise_level.square_of(before, y, seen.S)
+        square = _distance(noise_level.bend_of(before, y), 6 * seen.S, seen.has)
         counted, is_in_line = _counted(before, seen, square)
         is_rejected = 1 - seen.is_used
         is_noisy = noise_level.is_noisy(counted, is_in_line, seen.scale) * is_rejected

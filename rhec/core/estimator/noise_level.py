@@ -3,7 +3,7 @@
 A receiver may become many times noisier than its `sigma_v` says, such as RTK that falls to float.
 Its samples are rejected then, and they scatter: their second differences
 
-    q = mean of (y_k - 2 y_{k-1} + y_{k-2})² / (6 S)  over the samples rejected in a row
+    q = mean of b' (6 S)⁻¹ b / n_y,  b = y_k - 2 y_{k-1} + y_{k-2},  over those rejected in a row
 
 tell by how much their variance exceeds S. Above `scattered` no restart among them would be right,
 and there is no need to wait for one. The variances V of the judged outputs are multiplied by q
@@ -53,10 +53,9 @@ def scale_of(memory):
     return ca.fmax(memory["noise_scale"], 1)
 
 
-def square_of(memory, y, S):
-    """Of the second difference of innovations y, by what S lets expect: Σ (…)² / (6 S)."""
-    bend = y - 2 * memory["trail"][:, 0] + memory["trail"][:, 1]
-    return ca.sum1(bend**2 / (6 * ca.diag(S)))
+def bend_of(memory, y):
+    """The second difference of innovations, with the newest one y."""
+    return y - 2 * memory["trail"][:, 0] + memory["trail"][:, 1]
 
 
 def spreads(memory, square, has_any, is_line):
