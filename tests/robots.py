@@ -264,6 +264,55 @@ CRAWLER_BY_SPEED = dataclasses.replace(
     bounds={"nu_mps": (0.2, 0.6), "omega_radps": (-0.1, 0.1)},
 )
 
+
+def _cart_pole(x, u, p):
+    pole, half_m, g = 0.1, 2.0, 9.81
+    sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+    force = u[0] + pole * sine * (half_m * x[3] ** 2 - g * cosine)
+    acceleration = force / (p[0] + pole * sine**2)
+    return ca.vertcat(x[1], acceleration, x[3], (g * sine - acceleration * cosine) / half_m)
+
+
+# A cart of unknown mass that balances a pole.
+CART_POLE = Robot(
+    states=("position_m", "velocity_mps", "pole_rad", "pole_radps"),
+    inputs=("force_n",),
+    parameters={"mass_kg": (0.5, 2.0)},
+    outputs=("position_m", "pole_rad", "force_n"),
+    f=_cart_pole,
+    sigma_v=(0.01, 0.01, 0.05),
+    sigma_w=(0.002, 0.005, 0.002, 0.005, 0.002),
+    sigma_guess=(0.1, 0.1, 0.1, 0.1, 0.2),
+    x_range=((-0.2, -0.2, -0.1, -0.1), (0.2, 0.2, 0.1, 0.1)),
+    u_range=((-0.5,), (0.5,)),
+    p_range=((0.7,), (1.5,)),
+    q=(1.0, 0.1, 10.0, 0.1),
+    r=(0.01,),
+    bounds={"force_n": (-12.0, 12.0)},
+)
+
+
+def _crawler(x, u, p):
+    speed = p[1] * p[0]
+    return ca.vertcat(speed * ca.cos(x[2]), speed * ca.sin(x[2]), p[2] * u[0])
+
+
+# The paper's robot, whose speed is a parameter, too.
+CRAWLER = dataclasses.replace(
+    UNICYCLE,
+    inputs=("omega_radps",),
+    parameters={"nu_mps": None, "mu": (0, 1), "kappa": (0, 1)},
+    outputs=("x_m", "y_m", "nu_mps", "omega_radps"),
+    f=_crawler,
+    sigma_w=(0.005,) * 6,
+    sigma_guess=(0.3, 0.3, 0.2, 0.1, 0.15, 0.15),
+    u_range=((-0.1,), (0.1,)),
+    p_range=((0.4, 0.6, 0.6), (0.6, 1.0, 1.0)),
+    q=(1.0, 1.0, 1.0),
+    r=(10.0,),
+    bounds={"omega_radps": (-0.1, 0.1)},
+)
+
 ROBOTS = {"cart": CART, "bicycle": BICYCLE, "skid_steered": SKID_STEERED}
 VARIANTS = {
     "with_track_width": WITH_TRACK_WIDTH,

@@ -35,6 +35,12 @@ def test_no_fault_costs_the_rhe_more_than_the_ekf_on_many_drives(case):
     assert_kept(case, NIGHTLY_DRIVES)
 
 
+@pytest.mark.parametrize("robot", ["paper, printed", "paper, consistent"])
+def test_rtk_that_falls_to_float_costs_the_rhe_no_more_than_the_ekf(robot):
+    """Many of these samples agree by chance, so that few are rejected in a row."""
+    assert_kept(table.Case(robot, "later", "positions 0.3 m off, 26 s"), range(16))
+
+
 @functools.cache
 def found(robot, fault="none", when="later", judge=table.ANY):
     """The spoiled Drives, the estimates and `ok` of the RHE on them."""
@@ -107,10 +113,13 @@ def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
 
 
 def test_after_a_storm_of_absurd_samples_the_estimate_is_back():
-    """A window whose solution swings does not take its own swings for noise of the receiver."""
+    """A window whose solution swings does not take its own swings for noise of the receiver.
+
+    Few of 480 drives are not back after 14 s, and none is lost after 20 s.
+    """
     clean = table.paper_drives(range(8))
-    z, places = (np.tile(each, (10, 1, 1)) for each in (clean.z, clean.places))
-    rng = np.random.default_rng(0)
+    z, places = (np.tile(each, (60, 1, 1)) for each in (clean.z, clean.places))
+    rng = np.random.default_rng(1)
     storm = z[:, 100:160]
     sign = rng.choice([-1, 1], storm.shape)
     absurd = sign * 10.0 ** rng.uniform(-3, 8, storm.shape)
@@ -120,7 +129,9 @@ def test_after_a_storm_of_absurd_samples_the_estimate_is_back():
     z[:, 100:160] = np.where(rng.uniform(size=storm.shape) < share, absurd, storm)
     estimator = table.paper_estimators("prediction")["RHE"]
     found, _ = table.run(estimator, table.Drives(z, places))
-    assert np.linalg.norm(found - places, axis=-1)[:, -50:].max() < 0.5
+    error = np.linalg.norm(found - places, axis=-1)
+    assert (error[:, -50:].max(axis=1) > 0.5).mean() < 0.03
+    assert error[:, -20:].max() < 0.5
 
 
 @pytest.mark.parametrize("factor", [3.0, 1e3, 1e7])

@@ -24,12 +24,13 @@ those of a position that has moved for good are all alike, those of a wrong spee
 window restarts at the fourth sample rejected in a row if two second differences of the innovations
 are no more than noise,
 
-    (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit  with the variances in S alone,
+    (y_k - 2 y_{k-1} + y_{k-2})' (6 S)⁻¹ (…) ≤ limit,
 
 where 6 stands because that of white noise with variance σ² is 6σ² (von Neumann, 1941). Up to three
-wild samples therefore move nothing. A window whose solution swings must not look like noisy
-samples, so that the innovations of the last two samples are moved along with the newest node, as
-the feedback moves it. The window also restarts
+wild samples therefore move nothing. Among samples that scatter, two small ones are found by chance:
+after such a run it takes four. A window whose solution swings must not look like noisy samples, so
+that the innovations of the last two samples are moved along with the newest node, as the feedback
+moves it. The window also restarts
 
 - where too many samples are rejected in a row, whichever they are (`patience`);
 - where it fits the samples only because the robot is thought to be turned round (`half_turn`);
@@ -62,6 +63,7 @@ class Tuned(NamedTuple):
     # name: value  # [unit] meaning
     share: float = 1e-9  # [1] of good samples to reject: only outliers that would lose an estimator
     in_line: int = 2  # [second differences] within noise, and the window restarts
+    scattered_line: int = 4  # [second differences] the same after rejected samples that scatter
     windows_of_patience: int = 3  # [windows] of rejected samples before it restarts in any case
     least_patience: int = 30  # [samples] at least
     settles: int = 3  # [good samples] in a row, after a restart, until the window grows again
@@ -220,7 +222,7 @@ class InnovationGate:
         interval = window.interval
         outputs = self.outputs(window)
         at_measured, at_kept = predictions
-        widest = limit = self.limit(window)
+        limit = self.limit(window)
         kept = _with_inputs_of_window(interval, z_N, v, limit * noise["V"])
         rows = [output.slope(at_measured.s, z_N) for output in outputs]
         H = ca.vertcat(ca.SX(0, interval.n_s), *rows)
@@ -229,7 +231,6 @@ class InnovationGate:
         V = scale * ca.vertcat(*(noise["V"][output.row] for output in outputs))
         strays = 0
         if self.doubts_model:
-            widest = limit * noise_level.width_of(before)
             strays = _strays(at_measured, H, V, limit) * (iteration == 0)
             at_measured, at_kept = (_straight(each, strays) for each in predictions)
         m, P = at_measured.given(window, z_N, noise)
@@ -243,8 +244,8 @@ class InnovationGate:
             grown = grown * (1 + unknown) ** 2
         d = _distance(new_start.innovation(outputs, z_N, m, at_measured.s), grown, has)
         y_kept = new_start.innovation(outputs, z_N, m_kept, at_kept.s)
-        fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= widest
-        fits = ca.if_else(is_clean, 1, d <= widest)  # 0 where it is NaN
+        fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= limit
+        fits = ca.if_else(is_clean, 1, d <= limit)  # 0 where it is NaN
         return _Seen(
             at_measured,
             at_kept,
@@ -252,7 +253,7 @@ class InnovationGate:
             has,
             S,
             grown,
-            widest,
+            limit,
             d,
             scale,
             strays,
@@ -269,13 +270,13 @@ class InnovationGate:
         s_N = seen.at_kept.s
         s, _ = seen.at_kept._replace(m=s_N).given(window, seen.kept, noise)
         y = new_start.innovation(outputs, z_N, s, s_N)
-        square = noise_level.square_of(before, y, seen.S)
+        square = _distance(noise_level.bend_of(before, y), 6 * seen.S, seen.has)
         counted, is_in_line = _counted(before, seen, square)
         is_rejected = 1 - seen.is_used
-        is_noisy = noise_level.is_noisy(counted, is_in_line) * is_rejected
+        is_noisy = noise_level.is_noisy(counted, is_in_line, seen.scale) * is_rejected
         if self.sees_parameter(window):  # what seems to be turned round is no noise
             is_noisy *= before["turned"] == 0
-        is_noisier = is_noisy * (seen.d <= seen.limit * counted["spread"])
+        is_noisier = is_noisy * (seen.d <= seen.limit * ca.fmax(counted["spread"], 1))
         asks = ca.logic_or(is_in_line, counted["rejected"] >= patience(window.N))
         restart = asks * is_rejected * (1 - is_noisier)
         opposite = None
@@ -292,15 +293,17 @@ class InnovationGate:
     def _after(self, window, before, seen, run, is_used):
         """The noise's factor at this sample, and the memory after it."""
         has_any = ca.sum1(seen.has) > 0
-        is_followed = seen.fits * has_any * (1 - run.is_noisier) * (1 - seen.is_clean)
+        is_told = has_any * (1 - run.is_noisier) * (1 - seen.is_clean)
         if self.sees_parameter(window):
-            is_followed *= before["turned"] == 0
-        level = noise_level.followed(before, run.square / _count(seen), is_followed)
-        louder = seen.scale * run.counted["spread"]
-        level["noise_scale"] = ca.if_else(run.is_louder, louder, level["noise_scale"])
+            is_told *= before["turned"] == 0
+        followed = noise_level.followed(before, run.square / _count(seen), is_told)
+        louder = seen.scale * ca.fmax(run.counted["spread"], 1)
+        after_it = ca.if_else(run.is_louder, louder, followed)
         n = patience(window.N)
         share = noise_level.share_after(before, 1 - is_used, has_any, n)
-        after = _remembered(run, is_used, has_any, seen.S, before) | level | dict(share=share)
+        S = seen.S * (after_it / seen.scale)
+        after = _remembered(run, is_used, has_any, S, before)
+        after |= dict(share=share, noise_scale=after_it)
         if window.at_measured_input:
             is_known = is_used * (seen.unknown == before["unknown"])
             after |= dict(unknown=seen.unknown * (1 - is_known))
@@ -416,7 +419,7 @@ class _Seen(NamedTuple):
     has: Any  # (n_y,) which of the judged outputs it has
     S: Any  # (n_y, n_y) covariance of their innovation
     grown: Any  # S, larger the more samples before had no outputs, or not all inputs
-    limit: Any  # of the distance; wider where many good samples were rejected (`noise_level`)
+    limit: Any  # of the distance
     d: Any  # distance, by `grown`
     scale: Any  # factor of the noise
     strays: Any  # whether the window leads elsewhere than its solution
@@ -525,7 +528,8 @@ def _counted(before, seen, square):
         in_line=ca.if_else(is_line, before["in_line"] + 1, 0),
         **spreads,
     )
-    return run, run["in_line"] >= TUNED.in_line
+    scatters = run["spread"] > noise_level.TUNED.scattered
+    return run, run["in_line"] >= ca.if_else(scatters, TUNED.scattered_line, TUNED.in_line)
 
 
 def _remembered(run, is_used, has_any, S, before):

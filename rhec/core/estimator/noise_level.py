@@ -3,19 +3,18 @@
 A receiver may become many times noisier than its `sigma_v` says, such as RTK that falls to float.
 Its samples are rejected then, and they scatter: their second differences
 
-    q = mean of (y_k - 2 y_{k-1} + y_{k-2})² / (6 S)  over the samples rejected in a row
+    q = mean of b' (6 S)⁻¹ b / n_y,  b = y_k - 2 y_{k-1} + y_{k-2},  over those rejected in a row
 
 tell by how much their variance exceeds S. Above `scattered` no restart among them would be right,
 and there is no need to wait for one. The variances V of the judged outputs are multiplied by q
 instead, in the whole window. If the sample agrees with its prediction then, the window goes on with
-it; otherwise it restarts with this noise. The factor follows the second differences until it is 1
-again: innovations that are all alike are no noise, but an estimate that is off. At 1 it changes
-nothing.
+it; otherwise it restarts with this noise.
 
-Where σ was said too small, or the model is coarse, good samples are rejected now and then. Once
-more than `many` of the last ones are, the gate's limit is multiplied by what the squares of the
-used samples are in the mean, until that is 1 again. Wild samples do not widen it: they are not
-used.
+Less noise, or a σ that was said too small, lets most samples pass, and rejects one now and then.
+Once more than `many` of the last ones are rejected, the factor follows q of every sample, used or
+not, until it is 1 again. One sample multiplies it by no more than `most`, so that a wild one, which
+is part of three second differences, moves it little. Innovations that are all alike are no noise,
+but an estimate that is off. At 1 the factor changes nothing.
 """
 
 from typing import NamedTuple
@@ -24,7 +23,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function
 
-SHAPES = dict.fromkeys(("spread", "line_spread", "noise_scale", "share", "width"), (1, 1))
+SHAPES = dict.fromkeys(("spread", "line_spread", "noise_scale", "share"), (1, 1))
 MAX_SCALE = 1e15
 
 
@@ -33,22 +32,20 @@ class Tuned(NamedTuple):
 
     # name: value  # [unit] meaning
     scattered: float = 4.0  # [S] of second differences; of samples without a new noise 1
-    forgets: float = 0.1  # [1] weight of the newest sample in the gate's width
-    many: float = 0.05  # [1] share of rejected samples, above which the gate widens
-    widest: float = 25.0  # [limit] it becomes: good for σ that are five times too small
+    many: float = 0.02  # [1] share of rejected samples, above which each one tells of noise
+    most: float = 1.5  # [1] by which one sample multiplies the noise, however wild it is
     patience: int = 8  # [samples] rejected in a row, after which those that scatter are noisier
 
 
 TUNED = Tuned()
 
 
-USUAL = dict(spread=0, line_spread=0, noise_scale=1, width=1)  # the memory of usual noise
+USUAL = dict(spread=0, line_spread=0, noise_scale=1)  # the memory of usual noise
 
 
 def is_usual(memory):
-    """Whether neither the noise nor the gate's width differ from what they should be."""
-    is_narrow = (memory["width"] <= 1) * (memory["share"] <= TUNED.many)
-    return (memory["noise_scale"] <= 1) * is_narrow
+    """Whether the noise is what it should be, and few samples were rejected."""
+    return (memory["noise_scale"] <= 1) * (memory["share"] <= TUNED.many)
 
 
 def scale_of(memory):
@@ -56,15 +53,9 @@ def scale_of(memory):
     return ca.fmax(memory["noise_scale"], 1)
 
 
-def width_of(memory):
-    """The factor of the gate's limit: none beside one of the noise."""
-    return ca.if_else(memory["noise_scale"] > 1, 1, ca.fmax(memory["width"], 1))
-
-
-def square_of(memory, y, S):
-    """Of the second difference of innovations y, by what S lets expect: Σ (…)² / (6 S)."""
-    bend = y - 2 * memory["trail"][:, 0] + memory["trail"][:, 1]
-    return ca.sum1(bend**2 / (6 * ca.diag(S)))
+def bend_of(memory, y):
+    """The second difference of innovations, with the newest one y."""
+    return y - 2 * memory["trail"][:, 0] + memory["trail"][:, 1]
 
 
 def spreads(memory, square, has_any, is_line):
@@ -78,31 +69,29 @@ def spreads(memory, square, has_any, is_line):
     )
 
 
-def is_noisy(run, is_in_line):
-    """Whether the samples of a run scatter: those in line, if they are, or many of them."""
+def is_noisy(run, is_in_line, scale):
+    """Whether the samples of a run scatter: those in line, if they are, or many of them.
+
+    What is in line only by a noise of this scale, which the run itself may have raised, scatters.
+    """
     is_many = run["rejected"] >= TUNED.patience
-    spread = ca.if_else(is_in_line, run["line_spread"], is_many * run["spread"])
+    spread = ca.if_else(is_in_line, run["line_spread"] * scale, is_many * run["spread"])
     return spread > TUNED.scattered
 
 
-def followed(memory, square, is_used):
-    """Noise's factor and gate's width after a sample, by name.
+def followed(memory, square, is_told):
+    """The noise's factor after a sample.
 
     Args:
         memory: The memory before the sample.
         square: Its second difference, as q.
-        is_used: Whether it has some and is used as it was measured.
+        is_told: Whether it tells of noise.
     """
     scale = scale_of(memory)
     # The logarithm follows with a weight of 1/8. That of a square of noise is -0.58 in the mean.
-    moved = ca.fmax(1, scale * ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))))
-    width = width_of(memory)
-    wider = ca.fmax(1, (1 - TUNED.forgets) * width + TUNED.forgets * square)
-    wider = ca.fmin(wider, TUNED.widest)
-    is_widening = is_used * ca.logic_or(width > 1, memory["share"] > TUNED.many)
-    scale = ca.if_else(is_used * (scale > 1), moved, scale)
-    width = ca.if_else(is_widening * (scale <= 1), wider, width)
-    return dict(noise_scale=scale, width=width)
+    factor = ca.fmin(ca.sqrt(ca.sqrt(ca.sqrt(1.78 * square))), TUNED.most)
+    is_many = memory["share"] > TUNED.many
+    return ca.if_else(is_told * ca.logic_or(scale > 1, is_many), ca.fmax(1, scale * factor), scale)
 
 
 def share_after(memory, is_rejected, has_any, n):

@@ -35,6 +35,7 @@ RELIEF = 1  # place in `penalty` of the decades by which the QP's own price is l
 _MOST_RELIEF = 4
 _LENGTHS = 6  # that are tried, each half of the one before
 _ROUNDING = 1e-9  # of the merit
+_OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
 _NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration ends
@@ -130,7 +131,10 @@ def _good_share(merit, lengths, old, step, given, share, mu):
     rise = ca.fmax((cost_there - cost) / share, slope_of(merit, old, step, given))
     mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
     before = cost + mu * gaps
-    limits = dict(penalty=mu, merit=before, slope=0, rounding=_ROUNDING * ca.fabs(before))
+    # Far from the origin the states' own rounding counts more than that of the merit.
+    lost = _OF_STATES * ca.norm_1(ca.veccat(*old.values()))
+    rounding = _ROUNDING * ca.fabs(before) + (mu + ca.mmax(given["price"])) * lost
+    limits = dict(penalty=mu, merit=before, slope=0, rounding=rounding)
     first = dict(length=share, cost=cost_there, gaps=gaps_there)
     steps = {f"{key}_step": change for key, change in step.items()}
     return lengths(**first, **limits, **old, **steps, **given)["good"], mu
