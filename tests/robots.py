@@ -292,27 +292,6 @@ CART_POLE = Robot(
 )
 
 
-def _crawler(x, u, p):
-    speed = p[1] * p[0]
-    return ca.vertcat(speed * ca.cos(x[2]), speed * ca.sin(x[2]), p[2] * u[0])
-
-
-# The paper's robot, whose speed is a parameter, too.
-CRAWLER = dataclasses.replace(
-    UNICYCLE,
-    inputs=("omega_radps",),
-    parameters={"nu_mps": None, "mu": (0, 1), "kappa": (0, 1)},
-    outputs=("x_m", "y_m", "nu_mps", "omega_radps"),
-    f=_crawler,
-    sigma_w=(0.005,) * 6,
-    sigma_guess=(0.3, 0.3, 0.2, 0.1, 0.15, 0.15),
-    u_range=((-0.1,), (0.1,)),
-    p_range=((0.4, 0.6, 0.6), (0.6, 1.0, 1.0)),
-    q=(1.0, 1.0, 1.0),
-    r=(10.0,),
-    bounds={"omega_radps": (-0.1, 0.1)},
-)
-
 ROBOTS = {"cart": CART, "bicycle": BICYCLE, "skid_steered": SKID_STEERED}
 VARIANTS = {
     "with_track_width": WITH_TRACK_WIDTH,

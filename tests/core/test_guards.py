@@ -165,7 +165,8 @@ def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
     covariance = ca.diag(ca.DM([1.0, variance]))
     result = dict(ok=ca.DM(1), covariance=covariance, estimate=estimate)
     verdict = dict(agrees=1, restart=1, s_predicted=s)
-    flags = gate.conclude(window, {}, verdict | remembered, result)
+    given = dict(z_N=ca.DM.zeros(len(window.model.outputs)))
+    flags = gate.conclude(window, given, verdict | remembered, result)
     assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
     for name in remembered:
         assert (flags[name].full() == is_ok).all()
