@@ -191,11 +191,10 @@ def _check_left_out(recording):
         )
     for jump_m in recording.faults["jumps_m"]:
         place = ", ".join(recording.columns[name] for name in _POSITION)
-        yield note(
+        yield warning(
             "far_jump",
-            f"{place} jump by {jump_m / 1000:.4g} km, as in another zone of UTM; what follows "
-            "counts as another drive",
-            "Write all positions in one zone.",
+            f"the log's {place} jump by {jump_m / 1000:.4g} km, as in another zone of UTM",
+            "Write all positions in one zone: what follows counts as another drive.",
         )
 
 

@@ -87,13 +87,20 @@ class Summary:
     judged: Judgement | None = None
 
     def __str__(self) -> str:
-        warned = [each.sentence for each in self.diagnosis.findings if each.severity != "error"]
         lines = [*_what_it_is(self)]
         if self.traction is not None:
             lines += [_traction_line(self), *_test_lines(self.numbers)]
         lines += [self.verdict]
-        lines += [f"Warnings: {' '.join(warned) or 'none.'}"] if self.numbers else []
+        if self.numbers:
+            warned, noted = (self._said(each) for each in (Severity.WARNING, Severity.NOTE))
+            lines += [f"Warnings: {warned or 'none.'}"]
+            lines += [f"Notes: {noted}"] if noted else []
         return "\n".join(lines)
+
+    def _said(self, severity):
+        """The sentences of the findings of one severity."""
+        found = self.diagnosis.findings
+        return " ".join(each.sentence for each in found if each.severity is severity)
 
     @property
     def details(self) -> str:

@@ -337,11 +337,28 @@ def test_the_log_of_a_simulated_run_is_taken_as_it_is(run):
     assert "x_m" in summary.taken["truth, unseen"] and "κ" in summary.traction.index
 
 
+def in_another_zone(log):
+    return log.assign(x_m=log["x_m"] + 420e3 * (log["t_s"] > 36))
+
+
+def moved_in_a_pause(log):
+    is_later = log["t_s"] > 36
+    return log.assign(t_s=log["t_s"] + 40.0 * is_later, x_m=log["x_m"] + 3.0 * is_later)
+
+
 @pytest.mark.usefixtures("for_the_verdict")
-def test_a_robot_that_was_moved_in_a_pause_is_not_trusted():
-    moved = LOG.copy()
-    later = moved["t_s"] > 36
-    moved.loc[later, "t_s"] += 40.0
-    moved.loc[later, "x_m"] += 3.0
-    verdict = rhec.log(moved).verdict
-    assert verdict.startswith("Do not trust it yet: ") and "after a pause" in verdict
+@pytest.mark.parametrize(
+    "change, says",
+    [(moved_in_a_pause, "after a pause"), (in_another_zone, "the log's x_m, y_m jump by 420 km")],
+)
+def test_what_a_check_warns_of_is_not_trusted(change, says):
+    page = str(rhec.log(change(LOG))).splitlines()
+    assert page[-2].startswith("Do not trust it yet: ") and says in page[-2]
+    assert page[-1].startswith("Warnings: ") and says in page[-1].replace("The log", "the log")
+
+
+@pytest.mark.usefixtures("for_the_verdict")
+def test_a_note_is_no_warning():
+    page = str(rhec.log(LOG.assign(x_m=LOG["x_m"] + 4.0 * (LOG.index == 200)))).splitlines()
+    assert page[-3].startswith("Trust it.") and page[-2] == "Warnings: none."
+    assert page[-1].startswith("Notes: 2 of ") and "than the robot drives" in page[-1]
