@@ -92,16 +92,19 @@ def test_what_cannot_be_calibrated():
 
 def test_files_that_are_none(tmp_path, monkeypatch):
     contents = {
-        "utf.csv": b"\xff\xfe\x00 bytes",
-        "empty.csv": b"",
-        "log.parquet": b"PAR1",
-        "log.bag": b"#ROSBAG V2.0\n junk",
-        "log.mcap": b"\x89MCAP0\r\n junk",
-        "log.db3": b"SQLite format 3\x00 junk",
+        "utf.csv": (b"\xff\xfe\x00 bytes", ""),
+        "empty.csv": (b"", "the file is empty"),
+        "remarks.csv": (b"# t_s\n\n", "the file is empty"),
+        "picture.csv": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR,1\n2", "it is no text"),
+        "log.parquet": (b"PAR1", ""),
+        "log.bag": (b"#ROSBAG V2.0\n junk", ""),
+        "log.mcap": (b"\x89MCAP0\r\n junk", ""),
+        "log.db3": (b"SQLite format 3\x00 junk", ""),
     }
-    for name, content in contents.items():
+    rows = []
+    for name, (content, told) in contents.items():
         (tmp_path / name).write_bytes(content)
-    rows = [((tmp_path / name,), "log was …cannot be read") for name in contents]
+        rows.append(((tmp_path / name,), f"log was …cannot be read: {told}"))
     rows += [((path,), "log was …it should be a path") for path in (5, None, b"log.csv")]
     (tmp_path / "log.doc").write_bytes(b"t_s")
     existing = "log was …it should be an existing .csv, .txt, .dat, .tsv, .parquet, .bag, .db3, .mc"
