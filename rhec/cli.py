@@ -12,9 +12,11 @@ import io
 import itertools
 import json
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
+from contextvars import copy_context
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -68,7 +70,8 @@ def main(words: Sequence[str] | None = None) -> int:
         warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy about numbers that are missing
         warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
         try:
-            return _app(words)(words) or 0
+            # How a command words its messages ends with it.
+            return copy_context().run(_app(words), words) or 0
         except CycloptsError as error:
             command = [each.__name__ for each in _COMMANDS if each.__name__ in words[:1]]
             return _said(f"{error} See: {' '.join(('rhec', *command, '--help'))}", 2)
@@ -360,13 +363,29 @@ def _reading():
     return options
 
 
+def _columns_option(names):
+    """The option --columns of {column of a recording: name in the file}, as a shell takes it."""
+    return shlex.join(["--columns", *(f"{ours}={theirs}" for ours, theirs in names.items())])
+
+
+def _renamed(pair):
+    """Column of a recording and name in the file of a pair OURS=THEIRS."""
+    from rhec.logs.column_names import KNOWN
+
+    ours, equals, theirs = pair.partition("=")
+    if not equals:
+        raise ValueError(f"--columns was {pair!r}; it should be OURS=THEIRS, as x_m=easting")
+    if ours not in KNOWN:
+        helps = f"OURS should be one of {', '.join(KNOWN)}"
+        if theirs in KNOWN:
+            helps = f"write {theirs}={ours}"
+        raise ValueError(f"--columns was {pair!r}; it should be OURS=THEIRS: {helps}")
+    return ours, theirs
+
+
 def _log_of(files, given):
     """The log of the command line."""
-    pairs = [pair.partition("=") for pair in given.get("columns", ())]
-    for ours, equals, _ in pairs:
-        if not equals:
-            raise ValueError(f"--columns was {ours!r}; it should be OURS=THEIRS, as x_m=easting")
-    columns = {ours: theirs for ours, _, theirs in pairs} or None
+    columns = dict(map(_renamed, given.get("columns", ()))) or None
     path = files[0] if len(files) == 1 else list(files)
     return rhec.logs.read(path, **_given_to(rhec.logs.read, given) | dict(columns=columns))
 
@@ -394,8 +413,10 @@ def log(
             and the estimator that was judged as C in the folder C.
         overwrite: Replace files of these names.
     """
+    from rhec.logs.column_names import RENAMING
     from rhec.logs.outputs import FILES, write_summary
 
+    RENAMING.set(_columns_option)
     if not files:
         raise ValueError("rhec log had no file; it should be rhec log FILE")
     if output:

@@ -84,6 +84,8 @@ def test_names_of_columns(capsys, log_file):
     log.to_csv(log_file, index=False)
     pairs = ["x_m=easting", "y_m=northing", "speed_mps=nu_meas_mps"]
     words = ["log", str(log_file), "--check", "--json", "--columns", *pairs]
+    main(words[:4])
+    assert "did you mean --columns x_m=easting y_m=northing" in capsys.readouterr().out
     main([*words, "yaw_rate_radps=omega_meas_radps"])
     diagnosis = json.loads(capsys.readouterr().out)
     assert diagnosis["facts"]["driven_m"] == pytest.approx(30, rel=0.1)
@@ -123,6 +125,8 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
         (["log", "missing.csv"], "log was 'missing.csv'"),
         (["log", "missing.bag"], "log was 'missing.bag'"),
         (["log", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
+        (["log", "missing.bag", "--columns", "east=x_m"], "OURS=THEIRS: write x_m=east"),
+        (["log", "missing.bag", "--columns", "east=e"], "OURS=THEIRS: OURS should be one of t_s"),
         (["log"], "rhec log had no file"),
         (["export", "folder", "--estimator", "oracle"], "estimator was 'oracle'"),
         (["simulate", "--sed", "1"], "Did you mean --seed? See: rhec simulate --help"),
