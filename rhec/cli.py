@@ -6,6 +6,7 @@ one sentence and 1, Ctrl-C one line and 130; `rhec log` returns 1 for a log that
 with --check where it found something.
 """
 
+import contextlib
 import functools
 import inspect
 import io
@@ -14,6 +15,7 @@ import json
 import os
 import shlex
 import sys
+import tempfile
 import warnings
 from collections.abc import Sequence
 from contextvars import copy_context
@@ -421,11 +423,16 @@ def log(
         raise ValueError("rhec log had no file; it should be rhec log FILE")
     if output:
         _refuse_tables("output", output, overwrite, FILES)
+        from rhec.embedded import check_folder
+
+        check_folder(output / "C")
+        _refuse_unwritable("output", output)
     recorded = _log_of(files, given)
     if check:
         diagnosis = rhec.doctor(recorded, **_given_to(rhec.doctor, given))
         print(diagnosis.to_json() if as_json else diagnosis)
         return 0 if diagnosis.ok else 1
+    print(f"{len(recorded)} rows are read; judging them takes a while …", file=sys.stderr)
     summary = rhec.log(recorded, **_given_to(rhec.log, given))
     print(summary.to_json() if as_json else summary)
     if details and not as_json:
@@ -435,6 +442,8 @@ def log(
     if output:
         write_summary(summary, output)
         rhec.export(summary, output / "C")
+        written = ", ".join([*FILES, "C/README.txt"])
+        print(f"Written: {output}/ ({written})", file=sys.stderr if as_json else sys.stdout)
     return 0
 
 
@@ -445,6 +454,26 @@ def _refuse_tables(option, folder, overwrite, files):
             _refuse_output(option, folder / name, overwrite)
     elif os.path.lexists(folder):
         raise ValueError(f"--{option} was {str(folder)!r}, which is no folder")
+
+
+def _refuse_unwritable(option, folder):
+    """Raise a ValueError for a folder in which nothing can be written.
+
+    It is made to see that, and removed again if it was not there.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ValueError(
+            f"--{option} was {str(folder)!r}, where nothing can be written ({error.strerror}); "
+            "name a folder of your own, such as drive"
+        ) from None
+    finally:
+        for each in missing:
+            with contextlib.suppress(OSError):
+                each.rmdir()
 
 
 # The robot, and the checkout

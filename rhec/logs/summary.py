@@ -381,7 +381,10 @@ def _verdict(doubts, recording, found):
         more = f" ({len(doubts) - 1} more doubts: --details)" if len(doubts) > 1 else ""
         return f"Do not trust it yet: {doubts[0]}.{more}"
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
+    then = "rhec log FILE --calibrate --output FOLDER"
+    if found is not None:
+        then = "take robot.yaml and the C of --output FOLDER to the robot"
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
-        f"ice.{heading} Next: rhec log FILE --calibrate --output FOLDER."
+        f"ice.{heading} Next: {then}."
     )

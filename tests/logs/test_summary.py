@@ -107,6 +107,7 @@ def test_a_late_log_is_doubted_until_it_is_calibrated():
     calibrated = rhec.log(log, calibrate=True)
     assert calibrated.calibration["position_delay_s"] == pytest.approx(0.5, abs=0.1)
     assert calibrated.verdict.startswith("Trust it.")
+    assert "rhec log FILE --calibrate" not in calibrated.verdict
     assert calibrated.judged.first.lever_arm_m == calibrated.calibration.get("lever_arm_m")
 
 
