@@ -1,7 +1,11 @@
 """What a log says at a glance: the traction with its interval, and when not to trust it."""
 
 import json
+import re
+import textwrap
+from pathlib import Path
 
+import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,6 +22,7 @@ from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
 
 LOG = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
+PAGE = Path(__file__).parents[2] / "docs" / "your_log.md"
 
 
 @pytest.fixture
@@ -55,6 +60,18 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     told = json.loads(summary.to_json())
     assert told["verdict"] == summary.verdict and told["numbers"]["hidden"] == n
     assert told["traction"]["κ"]["low"] == pytest.approx(summary.traction.loc["κ", "low"])
+
+
+def test_the_page_of_the_docs_is_that_of_the_example():
+    """Its words are, and its numbers to a tenth, as other processors round otherwise."""
+    number = r"\d+(?:\.\d+)?"
+    pages = PAGE.read_text("utf-8"), str(rhec.log(make_example_log.FILE))
+    documented = re.search(r"the page is:\n\n((?:    .*\n)+)", pages[0])[1]
+    documented = textwrap.dedent(documented).strip()
+    words, said = (re.sub(number, "0", page) for page in (documented, pages[1]))
+    assert words == said
+    numbers, of_said = ([*map(float, re.findall(number, page))] for page in (documented, pages[1]))
+    assert numbers == pytest.approx(of_said, rel=0.1)
 
 
 def test_only_what_is_there_was_taken():
