@@ -6,15 +6,19 @@ one sentence and 1, Ctrl-C one line and 130; `rhec log` returns 1 for a log that
 with --check where it found something.
 """
 
+import contextlib
 import functools
 import inspect
 import io
 import itertools
 import json
 import os
+import shlex
 import sys
+import tempfile
 import warnings
 from collections.abc import Sequence
+from contextvars import copy_context
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -68,7 +72,8 @@ def main(words: Sequence[str] | None = None) -> int:
         warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy about numbers that are missing
         warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
         try:
-            return _app(words)(words) or 0
+            # How a command words its messages ends with it.
+            return copy_context().run(_app(words), words) or 0
         except CycloptsError as error:
             command = [each.__name__ for each in _COMMANDS if each.__name__ in words[:1]]
             return _said(f"{error} See: {' '.join(('rhec', *command, '--help'))}", 2)
@@ -360,13 +365,29 @@ def _reading():
     return options
 
 
+def _columns_option(names):
+    """The option --columns of {column of a recording: name in the file}, as a shell takes it."""
+    return shlex.join(["--columns", *(f"{ours}={theirs}" for ours, theirs in names.items())])
+
+
+def _renamed(pair):
+    """Column of a recording and name in the file of a pair OURS=THEIRS."""
+    from rhec.logs.column_names import KNOWN
+
+    ours, equals, theirs = pair.partition("=")
+    if not equals:
+        raise ValueError(f"--columns was {pair!r}; it should be OURS=THEIRS, as x_m=easting")
+    if ours not in KNOWN:
+        helps = f"OURS should be one of {', '.join(KNOWN)}"
+        if theirs in KNOWN:
+            helps = f"write {theirs}={ours}"
+        raise ValueError(f"--columns was {pair!r}; it should be OURS=THEIRS: {helps}")
+    return ours, theirs
+
+
 def _log_of(files, given):
     """The log of the command line."""
-    pairs = [pair.partition("=") for pair in given.get("columns", ())]
-    for ours, equals, _ in pairs:
-        if not equals:
-            raise ValueError(f"--columns was {ours!r}; it should be OURS=THEIRS, as x_m=easting")
-    columns = {ours: theirs for ours, _, theirs in pairs} or None
+    columns = dict(map(_renamed, given.get("columns", ()))) or None
     path = files[0] if len(files) == 1 else list(files)
     return rhec.logs.read(path, **_given_to(rhec.logs.read, given) | dict(columns=columns))
 
@@ -394,17 +415,24 @@ def log(
             and the estimator that was judged as C in the folder C.
         overwrite: Replace files of these names.
     """
+    from rhec.logs.column_names import RENAMING
     from rhec.logs.outputs import FILES, write_summary
 
+    RENAMING.set(_columns_option)
     if not files:
         raise ValueError("rhec log had no file; it should be rhec log FILE")
     if output:
         _refuse_tables("output", output, overwrite, FILES)
+        from rhec.embedded import check_folder
+
+        check_folder(output / "C")
+        _refuse_unwritable("output", output)
     recorded = _log_of(files, given)
     if check:
         diagnosis = rhec.doctor(recorded, **_given_to(rhec.doctor, given))
         print(diagnosis.to_json() if as_json else diagnosis)
         return 0 if diagnosis.ok else 1
+    print(f"{len(recorded)} rows are read; judging them takes a while …", file=sys.stderr)
     summary = rhec.log(recorded, **_given_to(rhec.log, given))
     print(summary.to_json() if as_json else summary)
     if details and not as_json:
@@ -414,6 +442,8 @@ def log(
     if output:
         write_summary(summary, output)
         rhec.export(summary, output / "C")
+        written = ", ".join([*FILES, "C/README.txt"])
+        print(f"Written: {output}/ ({written})", file=sys.stderr if as_json else sys.stdout)
     return 0
 
 
@@ -424,6 +454,26 @@ def _refuse_tables(option, folder, overwrite, files):
             _refuse_output(option, folder / name, overwrite)
     elif os.path.lexists(folder):
         raise ValueError(f"--{option} was {str(folder)!r}, which is no folder")
+
+
+def _refuse_unwritable(option, folder):
+    """Raise a ValueError for a folder in which nothing can be written.
+
+    It is made to see that, and removed again if it was not there.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ValueError(
+            f"--{option} was {str(folder)!r}, where nothing can be written ({error.strerror}); "
+            "name a folder of your own, such as drive"
+        ) from None
+    finally:
+        for each in missing:
+            with contextlib.suppress(OSError):
+                each.rmdir()
 
 
 # The robot, and the checkout

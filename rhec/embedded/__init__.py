@@ -70,14 +70,14 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool =
     if isinstance(scenario, Summary):
         if scenario.judged is None:
             raise ValueError(f"the log has no estimator to export. {scenario.verdict}")
-        _check_folder(folder)
+        check_folder(folder)
         texts = _of_log(scenario.judged)
     elif parts and all(isinstance(part, RHE | RHC) for part in parts):
         texts = _of_model(parts)
-        _check_folder(folder)
+        check_folder(folder)
     else:
         _check(scenario, estimator_only)
-        _check_folder(folder)
+        check_folder(folder)
         texts = _of_scenario(scenario, estimator_only)
     _refuse_folders(folder, texts)
     _write(folder, texts)
@@ -208,7 +208,7 @@ def _check_controller(scenario):
             raise ValueError(f"{name} was {value!r}; to export, it should be {exported!r}")
 
 
-def _check_folder(folder):
+def check_folder(folder):
     """Raise a ValueError for a folder with other files."""
     reason = None
     if folder.exists() and not folder.is_dir():

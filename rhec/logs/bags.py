@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from rhec.logs.bag_files import files_of, messages, opened
+from rhec.logs.column_names import RENAMING
 from rhec.simulation.columns import TRACKS
 
 MOST_VALUES = 20_000_000  # of a log; more would take minutes and gigabytes
@@ -196,7 +197,7 @@ def _topic_for(types, topics, role):
         readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
         raise ValueError(
             f"no topic for {role} ({readable}) among {_listed(types)}; "
-            "--columns x_m=/topic.field reads fields of any type"
+            f"{RENAMING.get()({'x_m': '/topic.field'})} reads fields of any type"
         )
     best = min((types[name] for name in suitable), key=kinds.index)
     suitable = [name for name in suitable if types[name] == best]

@@ -191,11 +191,10 @@ def _check_left_out(recording):
         )
     for jump_m in recording.faults["jumps_m"]:
         place = ", ".join(recording.columns[name] for name in _POSITION)
-        yield note(
+        yield warning(
             "far_jump",
-            f"{place} jump by {jump_m / 1000:.4g} km, as in another zone of UTM; what follows "
-            "counts as another drive",
-            "Write all positions in one zone.",
+            f"the log's {place} jump by {jump_m / 1000:.4g} km, as in another zone of UTM",
+            "Write all positions in one zone: what follows counts as another drive.",
         )
 
 
@@ -272,6 +271,11 @@ def _check_encoders(recording):
     # Of a robot that starts from rest along one curve it seems so for a moment, each time.
     run = (one_side != one_side.shift()).cumsum()
     lasting = one_side & (one_side.groupby(run).transform("sum") > n // 2)
+    # It is so of one that drives along one curve faster and slower. But without one track's speed
+    # the encoders' way is shorter than that of the positions, which slip makes none.
+    driven_m = step_s * nu.abs().rolling(n).sum()
+    beyond = way_m**2 - 4 * position_sigma_m(rows) ** 2 - driven_m**2
+    lasting &= beyond.groupby(run).transform("sum") > 0
     for code, what, shows_0 in (
         ("encoders_dead", "both encoders show 0 while the positions move, for", dead),
         ("track_dead", "the left encoder shows 0 for at least", lasting & (ratio > 0.2)),

@@ -1,9 +1,9 @@
 """The columns of a recording: what others call them, and what is said of a log that lacks some."""
 
 import re
-import shlex
+from contextvars import ContextVar
 
-from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, TRACKS
+from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, RECORDED_TRUTH, TRACKS
 
 # The columns of a recording, and names that other loggers use for them, in lower case and without
 # the unit; the most likely name first. Those of the time and of latitude, longitude and altitude
@@ -21,9 +21,13 @@ OTHER_NAMES = {
     "v_right_mps": ("v_right", "v_r", "vr", "right_speed", "speed_right", "right_wheel_speed"),
     **dict.fromkeys(("segment", "pos_ok", "encoders_ok", *RECORDED_SENSORS.values()), ()),
 }
+DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
+KNOWN = (*OTHER_NAMES, "sec", "nanosec", DECLARED, *RECORDED_TRUTH.values())  # all that is read
 _UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
 _RPM = re.compile(r"(^|_)rpm(_|$)")
 _INCREMENT = re.compile(r"(^|_)(d|delta_?)(x|y|s|t|theta|yaw|dist\w*)(_|$)|^distance$|^odometer$")
+# How messages write {column of a recording: name in the file}; `rhec.cli` sets it to its option.
+RENAMING = ContextVar("RENAMING", default=lambda names: f"columns={names} of rhec.logs.read")
 _LONGEST = 300  # characters of a list of columns in a message
 
 
@@ -125,9 +129,7 @@ def missing_columns(log, required):
     left_out = [f"{role}: {told}" for role, told in inferred.items() if told.startswith("none")]
     sentence += f" ({'; '.join(left_out)})" if left_out else ""
     sentence += "" if needs_width else _made_of(free)
-    suggested = [
-        shlex.quote(f"{name}={column}") for name, column in _suggestions(missing, free).items()
-    ]
-    if suggested:
-        return f"{sentence}: did you mean --columns {' '.join(suggested)}?"
-    return sentence if needs_width else f"{sentence}; --columns {missing[0]}=NAME renames one"
+    renaming = RENAMING.get()
+    if suggested := _suggestions(missing, free):
+        return f"{sentence}: did you mean {renaming(suggested)}?"
+    return sentence if needs_width else f"{sentence}; {renaming({missing[0]: 'NAME'})} renames one"

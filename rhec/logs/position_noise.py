@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from rhec import paper
-from rhec.logs.recording import DECLARED, moves
+from rhec.logs.column_names import DECLARED
+from rhec.logs.recording import moves
 from rhec.simulation.columns import MEASUREMENTS
 
 LEAST_M = paper.SIGMA_V[0]  # a smaller noise is not told apart from the errors of the model

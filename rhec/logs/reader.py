@@ -27,6 +27,7 @@ _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
 _MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
+_BEGIN = 1024  # bytes, of which one is 0 in a picture, an archive or a table of another kind
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
 # A mark of thousands, then a mark of decimals, such as 1,234.5 and 1.234,5.
 _THOUSANDS = {
@@ -216,8 +217,11 @@ def _printable(text):
 
 def _read_text(file):
     """The table in a file of text, and its separators as {property: inferred value}."""
-    with file.open("rb") as begin:
-        is_wide = begin.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    with file.open("rb") as content:
+        begin = content.read(_BEGIN)
+    is_wide = begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if b"\0" in begin and not is_wide:
+        raise ValueError(f"it is no text, which a {file.suffix} file should be")
     # Letters of another encoding stand in names and remarks, which are not read.
     encoding, errors = ("utf-16", "strict") if is_wide else ("utf-8-sig", "replace")
     with file.open(encoding=encoding, errors=errors) as lines:
@@ -250,6 +254,8 @@ def _read_text(file):
                 nrows=most_rows + 1,
                 low_memory=False,  # else the types of a column may change from part to part
             )
+    except pd.errors.EmptyDataError:
+        raise ValueError("the file is empty") from None
     except pd.errors.ParserWarning:
         raise ValueError(
             "its rows have more entries than its line of names; an entry may contain the "

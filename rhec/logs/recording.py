@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.column_names import missing_columns
+from rhec.logs.column_names import DECLARED, missing_columns
 from rhec.simulation.columns import (
     MEANS,
     MEASUREMENTS,
@@ -34,7 +34,6 @@ from rhec.tracked_robot import sensors
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 _POSITION = MEASUREMENTS[:2]
-DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
 _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"

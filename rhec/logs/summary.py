@@ -87,13 +87,20 @@ class Summary:
     judged: Judgement | None = None
 
     def __str__(self) -> str:
-        warned = [each.sentence for each in self.diagnosis.findings if each.severity != "error"]
         lines = [*_what_it_is(self)]
         if self.traction is not None:
             lines += [_traction_line(self), *_test_lines(self.numbers)]
         lines += [self.verdict]
-        lines += [f"Warnings: {' '.join(warned) or 'none.'}"] if self.numbers else []
+        if self.numbers:
+            warned, noted = (self._said(each) for each in (Severity.WARNING, Severity.NOTE))
+            lines += [f"Warnings: {warned or 'none.'}"]
+            lines += [f"Notes: {noted}"] if noted else []
         return "\n".join(lines)
+
+    def _said(self, severity):
+        """The sentences of the findings of one severity."""
+        found = self.diagnosis.findings
+        return " ".join(each.sentence for each in found if each.severity is severity)
 
     @property
     def details(self) -> str:
@@ -374,7 +381,10 @@ def _verdict(doubts, recording, found):
         more = f" ({len(doubts) - 1} more doubts: --details)" if len(doubts) > 1 else ""
         return f"Do not trust it yet: {doubts[0]}.{more}"
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
+    then = "rhec log FILE --calibrate --output FOLDER"
+    if found is not None:
+        then = "take robot.yaml and the C of --output FOLDER to the robot"
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
-        f"ice.{heading} Next: rhec log FILE --calibrate --output FOLDER."
+        f"ice.{heading} Next: {then}."
     )

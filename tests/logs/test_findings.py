@@ -125,10 +125,10 @@ def reverses():
     return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
 
 
-def starts_again_and_again():
-    """A robot that starts from rest along one curve, in which both speeds keep their ratio."""
+def along_curves(speed_of):
+    """A robot whose speeds keep their ratio along each curve, at a speed that the time gives."""
     t = np.arange(0, 400, 0.1)
-    speed = 0.6 * np.clip(t % 10 - 2, 0, 1)
+    speed = speed_of(t)
     sign = np.where(t % 20 < 10, 1, -1)
     turn = 0.5 * sign * speed
     yaw = np.cumsum(0.1 * KAPPA * turn)
@@ -357,7 +357,8 @@ HEALTHY = {
     "simulated": LOG,
     "slower": recorded_log(5.0, 120.0, noise_m=0.03),
     "to and fro": REVERSES,
-    "starts again and again": starts_again_and_again(),
+    "starts again and again": along_curves(lambda t: 0.6 * np.clip(t % 10 - 2, 0, 1)),
+    "faster and slower along a curve": along_curves(lambda t: 0.6 + 0.2 * np.sin(t)),
     "the example": EXAMPLE,
     "without noise": recorded_log(10.0, 100.0),
     "without slip": noisy(0.02, integrated()),

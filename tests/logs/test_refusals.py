@@ -35,7 +35,7 @@ def test_a_log_that_cannot_be_replayed():
     rows = [
         ([1, 2], "log was list; it should be a DataFrame"),
         (LOG.iloc[:0], "log was DataFrame without rows"),
-        (LOG.drop(columns="x_m"), "the log had no column x_m…; --columns x_m=NAME renames one"),
+        (LOG.drop(columns="x_m"), "the log had no column x_m…; columns={'x_m': 'NAME'} of rh"),
         (
             LOG.drop(columns=["t_s", "speed_mps"]),
             "the log had no column t_s, speed_mps;…or give a track_width_m",
@@ -45,8 +45,8 @@ def test_a_log_that_cannot_be_replayed():
         (LOG.iloc[::10], "the log had rows 1 s apart"),
         (pd.concat([LOG, LOG[["x_m"]]], axis=1), "the log had several columns x_m"),
         (FOREIGN, "the log had no…it has t_s, Easting [m], northing, vel, gyro, v_left_mps"),
-        (FOREIGN, "the log had no…did you mean --columns 'x_m=Easting [m]' y_m=northing?"),
-        (FOREIGN.drop(columns="v_left_mps"), "the log had no…y_m=northing speed_mps=vel?"),
+        (FOREIGN, "the log had no…did you mean columns={'x_m': 'Easting [m]', 'y_m': 'northing'}"),
+        (FOREIGN.drop(columns="v_left_mps"), "the log had no…northing', 'speed_mps': 'vel'} of rh"),
     ]
     assert_refused(rhec.replay, [((log,), sentence) for log, sentence in rows])
 
@@ -92,16 +92,19 @@ def test_what_cannot_be_calibrated():
 
 def test_files_that_are_none(tmp_path, monkeypatch):
     contents = {
-        "utf.csv": b"\xff\xfe\x00 bytes",
-        "empty.csv": b"",
-        "log.parquet": b"PAR1",
-        "log.bag": b"#ROSBAG V2.0\n junk",
-        "log.mcap": b"\x89MCAP0\r\n junk",
-        "log.db3": b"SQLite format 3\x00 junk",
+        "utf.csv": (b"\xff\xfe\x00 bytes", ""),
+        "empty.csv": (b"", "the file is empty"),
+        "remarks.csv": (b"# t_s\n\n", "the file is empty"),
+        "picture.csv": (b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR,1\n2", "it is no text"),
+        "log.parquet": (b"PAR1", ""),
+        "log.bag": (b"#ROSBAG V2.0\n junk", ""),
+        "log.mcap": (b"\x89MCAP0\r\n junk", ""),
+        "log.db3": (b"SQLite format 3\x00 junk", ""),
     }
-    for name, content in contents.items():
+    rows = []
+    for name, (content, told) in contents.items():
         (tmp_path / name).write_bytes(content)
-    rows = [((tmp_path / name,), "log was …cannot be read") for name in contents]
+        rows.append(((tmp_path / name,), f"log was …cannot be read: {told}"))
     rows += [((path,), "log was …it should be a path") for path in (5, None, b"log.csv")]
     (tmp_path / "log.doc").write_bytes(b"t_s")
     existing = "log was …it should be an existing .csv, .txt, .dat, .tsv, .parquet, .bag, .db3, .mc"
@@ -190,5 +193,5 @@ def test_topics_and_fields_that_a_bag_does_not_have(tmp_path):
     talk = [("/talk", "std_msgs/msg/String", START_NS, text("hello"))]
     assert_refused(
         rhec.logs.read,
-        [((write_bag(tmp_path / "talk", "mcap", talk),), f"{read}no topic for positions …x_m=/to")],
+        [((write_bag(tmp_path / "talk", "mcap", talk),), f"{read}no topic for positions …'x_m': ")],
     )

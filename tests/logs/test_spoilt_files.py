@@ -40,7 +40,8 @@ TABLES = {
     "without a header": (
         csv(TABLE, header=False),
         [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4 "
-         "(header: none, the names of the columns are 0, 1, 2 …); --columns t_s=NAME renames one."],
+         "(header: none, the names of the columns are 0, 1, 2 …); columns={'t_s': 'NAME'} of "
+         "rhec.logs.read renames one."],
     ),
     "pasted without the header": (
         csv(TABLE) + csv(AGAIN, header=False), [f"The time falls back by 149.9 s{BACK}"]
@@ -49,14 +50,15 @@ TABLES = {
         csv(TABLE.rename(columns=dict(speed_mps="delta_s", yaw_rate_radps="delta_theta"))),
         [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, delta_s, "
          "delta_theta; delta_s, delta_theta may be steps from row to row: divided by the time "
-         "between rows they are speeds; --columns speed_mps=NAME renames one."],
+         "between rows they are speeds; columns={'speed_mps': 'NAME'} of rhec.logs.read "
+         "renames one."],
     ),
     "other names of the wheels' speeds": (
         csv(LOG[["t_s", "x_m", "y_m", *TRACKS]].set_axis(
             ["t_s", "x_m", "y_m", "left_wheel_speed", "right_wheel_speed"], axis=1)),
         [f"{MISSING.format('speed_mps, yaw_rate_radps')}; it has t_s, x_m, y_m, left_wheel_speed, "
-         "right_wheel_speed: did you mean --columns v_left_mps=left_wheel_speed "
-         "v_right_mps=right_wheel_speed?"],
+         "right_wheel_speed: did you mean columns={'v_left_mps': 'left_wheel_speed', "
+         "'v_right_mps': 'right_wheel_speed'} of rhec.logs.read?"],
     ),
 }  # fmt: skip
 
@@ -142,8 +144,8 @@ BAGS = {
         partial(of_odometry, "cmd"),
         {},
         "no topic for positions (NavSatFix, PoseStamped, PoseWithCovarianceStamped, Odometry) "
-        "among /cmd_vel (geometry_msgs/msg/Twist); --columns x_m=/topic.field reads fields of any "
-        "type",
+        "among /cmd_vel (geometry_msgs/msg/Twist); columns={'x_m': '/topic.field'} of "
+        "rhec.logs.read reads fields of any type",
     ),
 }  # fmt: skip
 

@@ -1,7 +1,11 @@
 """What a log says at a glance: the traction with its interval, and when not to trust it."""
 
 import json
+import re
+import textwrap
+from pathlib import Path
 
+import make_example_log
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,6 +22,7 @@ from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
 
 LOG = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
+PAGE = Path(__file__).parents[2] / "docs" / "your_log.md"
 
 
 @pytest.fixture
@@ -55,6 +60,18 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     told = json.loads(summary.to_json())
     assert told["verdict"] == summary.verdict and told["numbers"]["hidden"] == n
     assert told["traction"]["κ"]["low"] == pytest.approx(summary.traction.loc["κ", "low"])
+
+
+def test_the_page_of_the_docs_is_that_of_the_example():
+    """Its words are, and its numbers to a tenth, as other processors round otherwise."""
+    number = r"\d+(?:\.\d+)?"
+    pages = PAGE.read_text("utf-8"), str(rhec.log(make_example_log.FILE))
+    documented = re.search(r"the page is:\n\n((?:    .*\n)+)", pages[0])[1]
+    documented = textwrap.dedent(documented).strip()
+    words, said = (re.sub(number, "0", page) for page in (documented, pages[1]))
+    assert words == said
+    numbers, of_said = ([*map(float, re.findall(number, page))] for page in (documented, pages[1]))
+    assert numbers == pytest.approx(of_said, rel=0.1)
 
 
 def test_only_what_is_there_was_taken():
@@ -107,6 +124,7 @@ def test_a_late_log_is_doubted_until_it_is_calibrated():
     calibrated = rhec.log(log, calibrate=True)
     assert calibrated.calibration["position_delay_s"] == pytest.approx(0.5, abs=0.1)
     assert calibrated.verdict.startswith("Trust it.")
+    assert "rhec log FILE --calibrate" not in calibrated.verdict
     assert calibrated.judged.first.lever_arm_m == calibrated.calibration.get("lever_arm_m")
 
 
@@ -337,11 +355,28 @@ def test_the_log_of_a_simulated_run_is_taken_as_it_is(run):
     assert "x_m" in summary.taken["truth, unseen"] and "κ" in summary.traction.index
 
 
+def in_another_zone(log):
+    return log.assign(x_m=log["x_m"] + 420e3 * (log["t_s"] > 36))
+
+
+def moved_in_a_pause(log):
+    is_later = log["t_s"] > 36
+    return log.assign(t_s=log["t_s"] + 40.0 * is_later, x_m=log["x_m"] + 3.0 * is_later)
+
+
 @pytest.mark.usefixtures("for_the_verdict")
-def test_a_robot_that_was_moved_in_a_pause_is_not_trusted():
-    moved = LOG.copy()
-    later = moved["t_s"] > 36
-    moved.loc[later, "t_s"] += 40.0
-    moved.loc[later, "x_m"] += 3.0
-    verdict = rhec.log(moved).verdict
-    assert verdict.startswith("Do not trust it yet: ") and "after a pause" in verdict
+@pytest.mark.parametrize(
+    "change, says",
+    [(moved_in_a_pause, "after a pause"), (in_another_zone, "the log's x_m, y_m jump by 420 km")],
+)
+def test_what_a_check_warns_of_is_not_trusted(change, says):
+    page = str(rhec.log(change(LOG))).splitlines()
+    assert page[-2].startswith("Do not trust it yet: ") and says in page[-2]
+    assert page[-1].startswith("Warnings: ") and says in page[-1].replace("The log", "the log")
+
+
+@pytest.mark.usefixtures("for_the_verdict")
+def test_a_note_is_no_warning():
+    page = str(rhec.log(LOG.assign(x_m=LOG["x_m"] + 4.0 * (LOG.index == 200)))).splitlines()
+    assert page[-3].startswith("Trust it.") and page[-2] == "Warnings: none."
+    assert page[-1].startswith("Notes: 2 of ") and "than the robot drives" in page[-1]

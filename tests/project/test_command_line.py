@@ -48,12 +48,16 @@ def test_the_estimates_of_a_log_are_those_of_python(capsys, log_file, tmp_path):
     words = ["log", str(log_file), "--output", str(folder)]
     assert main(words) == 0
     expected = rhec.log(rhec.logs.read(log_file))
-    written = pd.read_csv(folder / "estimates.csv")
+    table = pd.read_csv(folder / "estimates.csv")
     yaw = "theta_hat_rad"
-    np.testing.assert_allclose(written[yaw], expected.estimates[yaw], rtol=1e-9)
+    np.testing.assert_allclose(table[yaw], expected.estimates[yaw], rtol=1e-9)
     assert (folder / "summary.txt").read_text("utf-8").startswith(str(expected))
     assert (folder / "C" / "search.c").is_file()
-    assert expected.verdict in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert expected.verdict in said.out and "rows are read" in said.err
+    written = re.search(rf"^Written: {folder}/ \((.*)\)$", said.out, re.M)[1]
+    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert {*written.split(", ")} == {file for file in files if "C/" not in file} | {"C/README.txt"}
     # A second one overwrites nothing, unless it is told to.
     assert main(words) == 2
     assert "exists" in capsys.readouterr().err
@@ -85,6 +89,8 @@ def test_names_of_columns(capsys, log_file):
     log.to_csv(log_file, index=False)
     pairs = ["x_m=easting", "y_m=northing", "speed_mps=nu_meas_mps"]
     words = ["log", str(log_file), "--check", "--json", "--columns", *pairs]
+    main(words[:4])
+    assert "did you mean --columns x_m=easting y_m=northing" in capsys.readouterr().out
     main([*words, "yaw_rate_radps=omega_meas_radps"])
     diagnosis = json.loads(capsys.readouterr().out)
     assert diagnosis["facts"]["driven_m"] == pytest.approx(30, rel=0.1)
@@ -119,11 +125,15 @@ def test_an_export_is_that_of_python(capsys, tmp_path):
         (["simulate", "--log", "no/such.csv"], "--log was 'no/such.csv'; there is no folder 'no'"),
         (["simulate", "--plot", "x.nothing"], "--plot was 'x.nothing'; it should end in .png or"),
         (["log", "missing.csv", "--output", os.devnull], "--output was"),
+        (["log", "missing.csv", "--output", "/proc/x/y"], "where nothing can be written ("),
+        (["log", "missing.csv", "--output", "new/folder"], "log was 'missing.csv'"),
         (["campaign", "--seeds", "0"], "--seeds was 0"),
         (["campaign", "-p", "seed"], "-p seed had no value"),
         (["log", "missing.csv"], "log was 'missing.csv'"),
         (["log", "missing.bag"], "log was 'missing.bag'"),
         (["log", "missing.bag", "--columns", "x_m"], "--columns was 'x_m'"),
+        (["log", "missing.bag", "--columns", "east=x_m"], "OURS=THEIRS: write x_m=east"),
+        (["log", "missing.bag", "--columns", "east=e"], "OURS=THEIRS: OURS should be one of t_s"),
         (["log"], "rhec log had no file"),
         (["export", "folder", "--estimator", "oracle"], "estimator was 'oracle'"),
         (["simulate", "--sed", "1"], "Did you mean --seed? See: rhec simulate --help"),
