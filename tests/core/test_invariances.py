@@ -29,8 +29,7 @@ ROBOTS = {
     "cart-pole": CART_POLE,
 }
 SAMPLES, HORIZON = 50, 15
-# At the tenth the cart's plan lies on its bound at each node, where the QP may not be solved.
-COMMANDS = 9
+COMMANDS = 12
 
 # What is done to the world
 
