@@ -82,6 +82,45 @@ def test_a_mirrored_start_or_another_unit_of_cost_leads_along_the_same_way(hard,
         np.testing.assert_allclose(mirrored, first, rtol=0, atol=1e-9)
 
 
+UNITS = {"mm": (1e3, 1, 1, 1), "degrees": (1, 180 / np.pi, 1, 1), "kN": (1, 1, 1e-3, 1)}
+UNITS["a unit of its own each"] = (1e-2, 1e3, 1e4, 1e5)
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_other_units_of_states_inputs_and_cost_change_no_iteration(hard, units):
+    """After each number of iterations, to 1e-6 of how far each quantity goes."""
+    length, angle, force, cost = UNITS[units]
+    told = in_units(length, angle, force, cost)
+    of_states = np.array([length, length, angle, angle])
+    for seed in range(4):
+        for iterations in range(1, 16):
+            x = start(seed)
+            first = plan(hard, x, iterations)
+            other = plan(told, x * of_states, iterations) / of_states[:, None]
+            assert_same(other, first)
+            assert_same(told.u_plan / force, hard.u_plan)
+
+
+def in_units(length, angle, force, cost):
+    """The controller of a plant of which a metre, a radian and a newton have so many new units."""
+    units = np.array([length, length, angle, angle])
+
+    def f(x, u, p):
+        rates = _f([x[i] / units[i] for i in range(4)], [u[0] / force], p)
+        return [rates[i] * units[i] for i in range(4)]
+
+    model = rhec.Model(states=MODEL.states, inputs=MODEL.inputs, f=f)
+    weights = dict(q=tuple(cost * Q / units**2), r=(cost * R / force**2,))
+    bounds = {"force": (-12.0 * force, 12.0 * force), "pos": (-RAIL * length, RAIL * length)}
+    return rhec.RHC(model=model, dt=DT, horizon=N, bounds=bounds, **weights)
+
+
+def assert_same(other, first):
+    """To 1e-6 of the range of each row."""
+    most = 1e-6 * np.ptp(first, axis=1, keepdims=True) + 1e-12
+    assert np.all(np.abs(other - first) <= most)
+
+
 def plan(rhc, x, iterations):
     """The states (4, N + 1) that are planned from x after so many iterations."""
     rhc.restart()
@@ -104,8 +143,12 @@ def test_no_iteration_is_worse_by_cost_and_bound_and_dynamics(hard, seed):
 
 
 def measured(x, u):
-    """The cost of a plan, what it exceeds the rail by, and what its intervals miss the nodes by."""
+    """The cost of a plan, what it exceeds the rail by, and what its intervals miss the nodes by.
+
+    What is missed of a state counts by the root of its weight, so that units do not count.
+    """
     cost = (Q @ x[:, 1:] ** 2).sum() / 2 + R * (u**2).sum() / 2
     excess = np.maximum(np.abs(x[0, 1:]) - RAIL, 0).sum()
     ends = [MODEL.simulate(x[:, k], [u[:, k]], dt=DT)[-1] for k in range(N)]
-    return np.array([cost, excess, np.abs(np.array(ends).T - x[:, 1:]).sum()])
+    missed = np.abs(np.array(ends).T - x[:, 1:]).sum(axis=1)
+    return np.array([cost, excess, np.sqrt(Q) @ missed])

@@ -319,8 +319,8 @@ def repeated(u):
 def build_cost(stages):
     """The Function of the cost of nodes s and inputs u, and of their gaps.
 
-    The cost has the price of what soft rows exceed. The gaps are Σ ‖F(s_i, u_i) - s_{i+1}‖₁ and
-    ‖x̂ - s_0‖₁.
+    The cost has the price of what soft rows exceed. The gaps are Σ |F(s_i, u_i) - s_{i+1}| and
+    |x̂ - s_0| of each state; without rows besides the commands, they are one sum of all states.
     """
     N = stages.N
     references = stages.references
@@ -345,17 +345,28 @@ def build_cost(stages):
         total = (ca.dot(off[:, :N], W @ off[:, :N]) + ca.bilin(W_N, off[:, N], off[:, N])) / 2
         dt_s = ca.repmat(ca.DM(stages.dt_s), 1, N)
         ends = stages.interval.step.map(N)(s[:, :N], u, dt_s)
-        gaps = ca.sum1(ca.fabs(ca.veccat(s[:, 0] - s_0, ends - s[:, 1:])))
+        gaps = ca.fabs(ca.horzcat(s[:, 0] - s_0, ends - s[:, 1:]))
         if not stages.is_general:
-            return dict(cost=total, gaps=gaps)
+            return dict(cost=total, gaps=ca.sum1(ca.vec(gaps)))
         t = _beyond_bounds(stages, w, given)
         is_soft = given["linear"] < NO_PRICE
         linear = ca.if_else(is_soft, given["linear"], 0)
         price = ca.dot(linear, ca.sum2(t)) + ca.dot(given["quadratic"], ca.sum2(t**2)) / 2
         beyond = ca.if_else(is_soft, 0, ca.sum2(t))
-        return dict(cost=total + price, gaps=gaps, beyond=beyond)
+        rows = w[stages.bounded, :]
+        way = ca.sum2(ca.fabs(rows - ca.repmat(rows[:, 0], 1, N + 1)))
+        found = dict(cost=total + price, gaps=ca.sum2(gaps), beyond=beyond, way=way)
+        return found | _roots_of_weights(stages, given)
 
     return cost
+
+
+def _roots_of_weights(stages, given):
+    """The roots of what a unit of each joint state and input costs; 0 without a weight."""
+    of_x = ca.sqrt(ca.fmax(ca.diag(given["Q"]), ca.diag(given["QN"])))
+    of_u = ca.MX(stages.n_u, 1)
+    of_u[list(stages.command)] = ca.sqrt(ca.diag(given["R"]))
+    return dict(root_s=ca.vertcat(of_x, ca.MX(stages.n_s - stages.n_x, 1)), root_u=of_u)
 
 
 def _beyond_bounds(stages, w, bounds):

@@ -13,6 +13,9 @@ Mehrotra's predictor and corrector ("On the Implementation of a Primal-Dual Inte
 1992; by stages: Rao, Wright, Rawlings, "Application of Interior-Point Methods to Model Predictive
 Control", 1998). An iteration factorises once by a Riccati recursion, and solves twice with it; the
 excess t of soft rows is eliminated in closed form. The states always follow the dynamics.
+The corrector has a share α of the predictor's second order, the one that this may go alone: with
+all of it, iterations may cycle (weights of correctors: Colombo, Gondzio, "Further Development
+of Multiple Centrality Correctors for Interior Point Methods", 2008).
 
 Each row has two sides e'z + s = b + t with a distance s ≥ 0, its multiplier λ ≥ 0 and, in a soft
 row, the excess t ≥ 0 with its multiplier γ ≥ 0. A side without a bound has λ = 0 and no influence.
@@ -595,7 +598,8 @@ def _build_iteration(shape, problem, state):
         share = ca.fmin(ca.fmax(left, 0), 1)
         # Much below what counts as converged, the recursion would lose digits and gain nothing.
         target = ca.fmax(share**3 * total / n_sides, 0.1 * _CONVERGED * scale)
-        crossed = step["s"] * step["lam"], step["t"] * step["gam"]
+        # Where the predictor may go a share of its way alone, all of its second order is too much.
+        crossed = (alpha * step[one] * step[other] for one, other in (("s", "lam"), ("t", "gam")))
         aims = [
             dict(target=target, e_s=e_s, e_t=e_t) for e_s, e_t in zip(*map(ca.horzsplit, crossed))
         ]

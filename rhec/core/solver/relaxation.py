@@ -3,11 +3,15 @@
 Where a step goes too far, as it does along a curved bound, full steps may jump to and fro for ever,
 and a line search shortens them only once their merit is worse. With the steps d, now, and d'
 before, the share becomes -share d'·(d - d') / ‖d - d'‖² (Aitken's relaxation; Irons and Tuck,
-1969), which converges in fewer steps there.
+1969), which converges in fewer steps there. In the product, each state and input is relative to how
+far the plan goes in it, so that units do not count.
 
 Behind it stands the merit of a line search, with the price of what hard rows exceed,
 
-    φ(w) = J(w) + price · t(w) + μ ‖c(w)‖₁.
+    φ(w) = J(w) + price · t(w) + μ Σ per_gap |c(w)|,
+
+where the gaps of a state count as its weight makes them, √Q or √Q_N. Those of one without a weight
+count as if the way that the plan goes in it cost what a node does on average.
 
 A share that would raise it is halved until it does not. The QP's own price of hard rows is far
 above their multipliers. On an unstable plant it buys a plan that keeps the bounds of the linearised
@@ -16,6 +20,8 @@ next QP has a tenth of that price; it rises again, step by step, once the iterat
 solution that still exceeds a hard row. Without an excess the lower price is above the multipliers,
 too, and the solution is that of hard rows.
 """
+
+import functools
 
 import casadi as ca
 
@@ -38,7 +44,9 @@ _ROUNDING = 1e-9  # of the merit
 _OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
-_NO_STEP = 1e-9  # relative to the plan's extent: a step at which an iteration ends
+_NO_STEP = 1e-9  # relative to each extent of the plan: a step at which an iteration ends
+_LEAST_EXTENT = 1e-9  # of a state that moves, relative to itself; less may be rounding
+_LEAST_ROOT = 1e-6  # root of the least cost of an extent, relative to that of a node
 _TINY = 1e-300
 
 
@@ -49,7 +57,8 @@ def relaxation(name, unknowns, data, cost):
         name: Of the Function.
         unknowns: {name: shape} of the unknowns.
         data: {name: shape} of what the cost depends on besides.
-        cost: Function (unknowns, data) -> cost, gaps, and beyond: Σ t of each row without a price.
+        cost: Function (unknowns, data) -> cost, gaps of each state, and of each row beyond: Σ t if
+            it has no price, and way: how far it goes; root_s and root_u, the roots of the weights.
 
     Returns:
         The Function (unknowns, unknowns with "_full" after a full step, penalty, solved, kkt,
@@ -64,25 +73,28 @@ def relaxation(name, unknowns, data, cost):
     carried = 3 + sum(rows * columns for rows, columns in unknowns.values())
     known = dict(penalty=(carried, 1), solved=(1, 1), kkt=(1, 1), price=rows, excess=rows)
     merit = _build_merit(unknowns, data, cost)
-    lengths = build_lengths("rhc_search", _LENGTHS, unknowns, data | dict(price=rows), merit)
+    weights = dict(price=rows, per_gap=(unknowns["s"][0], 1))
+    lengths = build_lengths("rhc_search", _LENGTHS, unknowns, data | weights, merit)
 
     @casadi_function(name, ca.MX, **unknowns, **full, **known, **data)
     def search(penalty, solved, kkt, price, excess, **values):
         share, relief, mu, last = ca.vertsplit(penalty, [0, 1, 2, 3, carried])
-        change = kkt / ca.fmax(cost(**select_inputs(cost, values))["cost"], _TINY)
+        here = cost(**select_inputs(cost, values))
+        change = kkt / ca.fmax(here["cost"], _TINY)
         old = {key: values[key] for key in unknowns}
         steps = {key: values[f"{key}_full"] - values[key] for key in unknowns}
         step = ca.veccat(*steps.values())
-        stays = ca.norm_inf(step) <= _NO_STEP * ca.norm_inf(_extent(values, unknowns))
-        share = _next_share(share, last, step)
+        per_step, per_gap, lost = _scales(here, old, values)
+        stays = ca.norm_inf(per_step * step) <= _NO_STEP
+        share = _next_share(share, per_step * last, per_step * step)
         near, converged, ended = (
             ca.logic_or(change <= most, stays) for most in (NEAR, CONVERGED, DONE)
         )
         has_hard = ca.sum1(values["linear"] >= NO_PRICE) > 0
         # A step that ends the iterations is too small for a merit.
         is_free = ca.logic_or(ca.logic_not(has_hard), ended)
-        given = {key: values[key] for key in data} | dict(price=price)
-        good, mu_new = _good_share(merit, lengths, old, steps, given, share, mu)
+        given = {key: values[key] for key in data} | dict(price=price, per_gap=per_gap)
+        good, mu_new = _good_share(merit, lengths, old, steps, given, share, mu, lost)
         share = ca.if_else(is_free, share, good)
         taken = share > 0
         # A comparison with a number that is none is false; then the QP was not solved, either.
@@ -109,18 +121,20 @@ def relaxation(name, unknowns, data, cost):
 
 
 def _build_merit(unknowns, data, cost):
-    """The Function of J + price · t and of the gaps ‖c‖₁."""
-    rows = cost.sparsity_out("beyond")
+    """The Function of J + price · t, of the gaps Σ per_gap |c|, and of price · way."""
+    weights = dict(price=cost.sparsity_out("beyond"), per_gap=cost.sparsity_out("gaps"))
 
-    @casadi_function("rhc_merit", ca.MX, **unknowns, **data, price=rows)
-    def merit(price, **values):
+    @casadi_function("rhc_merit", ca.MX, **unknowns, **data, **weights)
+    def merit(price, per_gap, **values):
         found = cost(**values)
-        return dict(cost=found["cost"] + ca.dot(price, found["beyond"]), gaps=found["gaps"])
+        total = found["cost"] + ca.dot(price, found["beyond"])
+        way = ca.dot(price, found["way"])
+        return dict(cost=total, gaps=ca.dot(per_gap, found["gaps"]), way=way)
 
     return merit
 
 
-def _good_share(merit, lengths, old, step, given, share, mu):
+def _good_share(merit, lengths, old, step, given, share, mu, lost):
     """The first of share, share / 2, … that does not raise φ, or 0; and μ.
 
     μ makes what is missing at the ends of the intervals twice as dear as what closing it costs, by
@@ -132,26 +146,69 @@ def _good_share(merit, lengths, old, step, given, share, mu):
     mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
     before = cost + mu * gaps
     # Far from the origin the states' own rounding counts more than that of the merit.
-    lost = _OF_STATES * ca.norm_1(ca.veccat(*old.values()))
-    rounding = _ROUNDING * ca.fabs(before) + (mu + ca.mmax(given["price"])) * lost
+    of_gaps, of_way = lost
+    way = merit(**old, **given)["way"]
+    rounding = _ROUNDING * ca.fabs(before) + mu * of_gaps + of_way * way
     limits = dict(penalty=mu, merit=before, slope=0, rounding=rounding)
     first = dict(length=share, cost=cost_there, gaps=gaps_there)
     steps = {f"{key}_step": change for key, change in step.items()}
     return lengths(**first, **limits, **old, **steps, **given)["good"], mu
 
 
-def _extent(values, unknowns):
-    """How far the plan goes: its states from where it begins, far from the origin or not."""
-    parts = []
-    for key in unknowns:
-        plan = values[f"{key}_full"]
-        begin = ca.repmat(plan[:, 0], 1, plan.size2()) if key == "s" else 0
-        parts.append(plan - begin)
-    return ca.veccat(*parts)
+def _scales(here, old, values):
+    """What steps, gaps, and what rounding hides are relative to, so that units do not count.
+
+    Args:
+        here: What the cost's Function found at the plan before the step.
+        old: That plan.
+        values: They have the plan after the step, with "_full".
+
+    Returns:
+        1 / extent for each entry of a step; the weight of each state's gaps; and what rounding of
+        the states hides: of the gaps, and of a row's way as a share of it.
+    """
+    s = old["s"]
+    typical = ca.sqrt(2 * here["cost"] / s.size2())
+    per_extent = {
+        key: _inverse(_extent(key, plan, values[f"{key}_full"], here[f"root_{key}"], typical))
+        for key, plan in old.items()
+    }
+    per_step = ca.veccat(*(ca.repmat(per_extent[key], 1, old[key].size2()) for key in old))
+    root = here["root_s"]
+    per_gap = ca.if_else(root > 0, root, typical * per_extent["s"])
+    of_gaps = _OF_STATES * ca.dot(per_gap, ca.sum2(ca.fabs(s)))
+    of_way = _OF_STATES * ca.mmax(per_extent["s"] * _largest(s))
+    return per_step, per_gap, (of_gaps, of_way)
+
+
+def _extent(key, old, full, root, typical):
+    """How far each state goes from where the plan begins, or each input from 0; 0 if it does not.
+
+    It is no less than rounding explains, nor than what counts in the cost: `root` is the root of
+    what a unit costs, and `typical` that of what a node does.
+    """
+    begin = ca.repmat(full[:, 0], 1, full.size2()) if key == "s" else 0
+    way = ca.fmax(_largest(old - begin), _largest(full - begin))
+    least = ca.if_else(root > 0, _LEAST_ROOT * typical / ca.fmax(root, _TINY), 0)
+    least = ca.fmax(least, _LEAST_EXTENT * _largest(old))
+    return ca.if_else(way > 0, ca.fmax(way, least), 0)
+
+
+def _largest(numbers):
+    """The largest of each row, without its sign."""
+    return functools.reduce(ca.fmax, ca.horzsplit(ca.fabs(numbers)))
+
+
+def _inverse(extent):
+    """1 / extent, or 0 where there is none."""
+    return ca.if_else(extent > 0, 1 / ca.fmax(extent, _TINY), 0)
 
 
 def _next_share(share, last, step):
-    """The share of a step, from the share and the step before; share 0 says that there is none."""
+    """The share of a step, from the share and the step before; share 0 says that there is none.
+
+    Both steps are relative to the extents of the plan.
+    """
     change = step - last
     relaxed = -share * ca.dot(last, change) / ca.fmax(ca.dot(change, change), _TINY)
     # A comparison with a number that is none is false; then the step is a full one.
