@@ -353,6 +353,16 @@ def test_the_order_turns_with_the_numbers(orders):
     assert found["as printed"] == FAILS
 
 
+def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
+    conditions = [*B5["B5"].rule.by_condition]
+    for last, other in ((FAILS, conditions[-1]), (HOLDS, conditions[1])):
+        verdicts = dict.fromkeys(conditions, HOLDS) | {conditions[-1]: last}
+        found = {name: Finding(1.0, 0.0, 2.0, 9, each, p=0.01) for name, each in verdicts.items()}
+        looks = dict.fromkeys(conditions, 0.95)
+        (row,) = ledger.ledger(dict(B5=found), dict(B5=looks), dict(B5={}), {}, B5).itertuples()
+        assert (row.condition, row.other_condition) == (conditions[0], other)
+
+
 def test_what_the_paper_compares_is_judged_by_every_rule_for_w():
     for id_ in "B3 B4 B5 B6 B7 B9 B10 B16 S4".split():
         conditions = list(ledger.CLAIMS[id_].rule.by_condition)
