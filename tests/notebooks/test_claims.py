@@ -157,6 +157,11 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
 
 
+def test_the_root_of_a_mean_of_squares_is_their_rms():
+    found = statistics.over_seeds(statistics.root_of_mean, SHARES**2.0)
+    assert found.mean == pytest.approx(np.linalg.norm(SHARES) / np.sqrt(200))
+
+
 def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
     """Of skewed numbers in all runs it is nearly what the intervals say."""
     metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
@@ -893,6 +898,22 @@ def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
 def test_each_field_of_the_arrival_costs_is_driven_once():
     tasks = experiments._tasks("prediction", "arrival_cost", 300)
     assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
+
+
+def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch):
+    """Of drives whose errors, times and distances from the converged command are known."""
+    is_late = paper.DT_S * np.arange(800) >= experiments.SETTLED_S
+
+    def live(scenario, iterations):
+        return np.where(is_late, 0.01 * iterations, 9.0), np.full(800, 1e-6 * iterations)
+
+    apart = np.where(is_late, 3e-4, 9.0), np.where(is_late, -5e-4, 9.0)
+    monkeypatch.setattr(experiments, "live", live)
+    monkeypatch.setattr(experiments, "_distances_from_converged", lambda scenario: apart)
+    found = experiments._iterations("prediction", 0)
+    expected = dict(error_one_m=0.01, error_many_m=0.1, one_us=1.0, many_us=10.0)
+    expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=9.0)  # the last, of the whole drive
+    assert found == pytest.approx(expected)
 
 
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
