@@ -162,14 +162,16 @@ def test_ok_and_converged_tell_how_far_the_optimum_is():
 
 
 def test_full_weights_and_outputs_are_the_same_cost_in_other_words():
-    """(x + y)² as a matrix, and as an output; qn and qn_factor; y_ref as x_ref."""
+    """(x + y/3)² as a matrix, and as an output; qn and qn_factor; y_ref as x_ref."""
     given = dict(x=(1.0, 0.2), p=(0.0,), x_ref=(0.0, 0.0), u_ref=(0.0,))
-    matrix = controller(CART, q=np.array([[1.0, 1.0], [1.0, 1.0]]), qn_factor=3.0)
+    # Singular, and symmetric but for rounding.
+    weight = np.array([[1.0, 1 / 3 + 1e-16], [1 / 3, 1 / 9]])
+    matrix = controller(CART, q=weight, qn_factor=3.0)
     matrix.solve(**given, iterations=2)
-    total = dict(total=lambda x, u, p: x[0] + x[1])
+    total = dict(total=lambda x, u, p: x[0] + x[1] / 3)
     output = controller(CART, q=(0.0, 0.0), outputs=total, q_y=(1.0,), qn_factor=3.0)
     output.solve(**given, iterations=2)
-    end = controller(CART, q=np.ones((2, 2)), qn=3 * np.ones((2, 2)))
+    end = controller(CART, q=weight, qn=3 * weight)
     end.solve(**given, iterations=2)
     for other in (output, end):
         np.testing.assert_allclose(other.u_plan, matrix.u_plan, rtol=0, atol=1e-7)

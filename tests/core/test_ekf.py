@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from guard_table import model_of, settings_of
 from helpers import choice_of, with_noise
 from oracles import DT, V, drive, flat
 from scipy.optimize import lsq_linear
 
+import rhec
 from notebooks.rivals import by_name, held_traction
 from rhec.core._casadi import packing
 from rhec.tracked_robot import paper_rhe
@@ -172,3 +174,12 @@ def test_an_rhe_with_the_traction_held_is_the_rhe_that_is_sure_of_it(name, told)
         memory = result["memory"]
         np.testing.assert_allclose(estimate, flat(result["estimate"]), atol=1e-6)
         np.testing.assert_allclose(covariance, np.array(result["covariance"])[:4, :4], atol=1e-6)
+
+
+def test_before_its_first_sample_it_says_what_an_rhe_says(virtual_machine):
+    ekf = rhec.EKF(model=model_of("unicycle"), dt=0.2, **settings_of("unicycle"))
+    for _ in range(2):
+        assert not ekf.ok and ekf.status == rhec.RHE().status != ""
+        ekf.step((0.0, 0.0, 1.0, 0.0))
+        assert ekf.ok and ekf.status == ""
+        ekf.restart()

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from guard_table import model_of
 from oracles import drive
 
 import rhec
 from rhec import paper
+from rhec.core.estimator import half_turn
 
 SAMPLES = 120
 LENGTH = 15 + 2  # windows in a row that have no single sample in common
@@ -62,3 +64,9 @@ def test_a_speed_that_was_measured_wildly_turns_nothing(speed_mps):
 
     _, yaw, ok = followed(0.0, spoil=spoil)
     assert np.abs(yaw[20:]).max() < np.pi / 2 and ok[60 + LENGTH + 2 :].all()
+
+
+@pytest.mark.parametrize("robot, parameter", [("unicycle", "mu"), ("bicycle", None)])
+def test_the_parameter_that_changes_sign_with_half_a_turn_is_found(robot, parameter):
+    """Of a Model that names its heading; the unicycle drives by μν in its direction."""
+    assert half_turn.of_model(model_of(robot)).parameter == parameter

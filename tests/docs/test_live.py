@@ -156,6 +156,16 @@ def taken_apart():
     return tools, setup, memory[: tools["shift"].size1_in("memory")], z, run
 
 
+def test_the_story_finds_the_window_in_the_loops_memory(taken_apart, monkeypatch):
+    monkeypatch.setattr(wasm, "module_of", lambda text: b"")
+    _, setup, memory, *_ = taken_apart
+    tools = page._tools()
+    np.testing.assert_array_equal(setup.memory[tools["first"] :][: len(memory)], memory)
+    pieces = setup.unpack(setup.memory)["estimator"]
+    for name, places in tools["places"].items():
+        np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
+
+
 def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):
     """Their estimates are those of the run; without bounds they may leave 0 to 1."""
     tools, setup, memory, z, run = taken_apart

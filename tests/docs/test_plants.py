@@ -18,4 +18,5 @@ def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves(
     # Beside four rows of 30 m, of which the first and the last go on by an eighth of the distance
     # of two rows, one plant on either side every 0.15 m; none on the way back along the headland.
     assert len(plants) == 2 * round((4 * 30.0 + 2 * 7.8 / 4) / 0.15)
+    assert len(np.unique(plants.round(6), axis=0)) == len(plants)
     assert plants[:, 0].min() > -7.8 / 4 - 0.15

@@ -5,6 +5,7 @@ makes it fail; its report.
 import dataclasses
 import functools
 import json
+import re
 import shutil
 import subprocess
 
@@ -292,8 +293,16 @@ def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
 
 
 @needs_compiler
-def test_the_header_tells_the_size_of_the_memory(exported):
-    program = '#include "rhec.h"\nint here[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n'
+def test_header_and_readme_tell_the_sizes_of_memory_and_constants(exported):
+    readme = (exported("paper") / "README.txt").read_text()
+    memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
+    program = (
+        '#include "rhec.h"\n'
+        "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"
+        f"int memory[RHEC_MEMORY_BYTES == {memory} ? 1 : -1];\n"
+        "int constants[sizeof(struct rhec_settings) + sizeof rhec_scenario_guess"
+        f" == {constants} ? 1 : -1];\n"
+    )
     compiler = toolchain.this_machine().compiler
     command = [compiler, f"-I{exported('paper')}", "-fsyntax-only", "-x", "c", "-"]
     subprocess.run(command, input=program, text=True, check=True)

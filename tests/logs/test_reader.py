@@ -250,8 +250,10 @@ def test_columns_without_names_are_numbered(tmp_path):
     file = tmp_path / "echo.csv"
     lines = [f"{100 + row // 5},{row % 5 * 200_000_000},{0.1 * row},0.0" for row in range(10)]
     file.write_text("\n".join(lines), encoding="utf-8")
-    log = rhec.logs.read(file, columns={"sec": "0", "nanosec": "1", "x_m": "2", "y_m": "3"})
-    np.testing.assert_allclose(log["t_s"], 0.2 * np.arange(10))
+    for stamp in ("", "header.stamp."):
+        columns = {f"{stamp}sec": "0", f"{stamp}nanosec": "1", "x_m": "2", "y_m": "3"}
+        log = rhec.logs.read(file, columns=columns)
+        np.testing.assert_allclose(log["t_s"], 0.2 * np.arange(10))
     assert len(log) == 10 and log["x_m"].iloc[-1] == 0.9
 
 

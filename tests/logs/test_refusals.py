@@ -47,6 +47,10 @@ def test_a_log_that_cannot_be_replayed():
         (FOREIGN, "the log had no…it has t_s, Easting [m], northing, vel, gyro, v_left_mps"),
         (FOREIGN, "the log had no…did you mean columns={'x_m': 'Easting [m]', 'y_m': 'northing'}"),
         (FOREIGN.drop(columns="v_left_mps"), "the log had no…northing', 'speed_mps': 'vel'} of rh"),
+        (
+            LOG.iloc[:, :5].rename(columns=dict(speed_mps="/odom/twist/twist/linear/x")),
+            "the log had no…did you mean columns={'speed_mps': '/odom/twist/twist/linear/x'}",
+        ),
     ]
     assert_refused(rhec.replay, [((log,), sentence) for log, sentence in rows])
 

@@ -2,6 +2,7 @@
 it is judged on is what the log shows.
 """
 
+import collections
 import dataclasses
 
 import numpy as np
@@ -154,6 +155,21 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     rng = np.random.default_rng(1)
     samples = rng.lognormal(size=(1 if statistic is np.mean else 2, 1000))
     assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
+
+
+def test_the_root_of_a_mean_of_squares_is_their_rms():
+    found = statistics.over_seeds(statistics.root_of_mean, SHARES**2.0)
+    assert found.mean == pytest.approx(np.linalg.norm(SHARES) / np.sqrt(200))
+
+
+def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
+    """Of skewed numbers in all runs it is nearly what the intervals say."""
+    metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
+    samples = np.random.default_rng(0).lognormal(size=(99, 200, 4))
+    drawn = (pd.DataFrame(sample, columns=metrics) for sample in samples)
+    shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=400)
+    assert {*shown["statistic"]} == {"mean", "difference_of_means", "ratio_of_means"}
+    assert shown["coverage"].between(0.9, 0.99).all()
 
 
 @pytest.mark.filterwarnings("error")
@@ -340,6 +356,16 @@ def test_the_order_turns_with_the_numbers(orders):
     found = {name: judge(other).verdict for name, judge in B5["B5"].rule.by_condition.items()}
     assert found[statistics.PREDICTION] == HOLDS and found["W consistent"] == FAILS
     assert found["as printed"] == FAILS
+
+
+def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
+    conditions = [*B5["B5"].rule.by_condition]
+    for last, other in ((FAILS, conditions[-1]), (HOLDS, conditions[1])):
+        verdicts = dict.fromkeys(conditions, HOLDS) | {conditions[-1]: last}
+        found = {name: Finding(1.0, 0.0, 2.0, 9, each, p=0.01) for name, each in verdicts.items()}
+        looks = dict.fromkeys(conditions, 0.95)
+        (row,) = ledger.ledger(dict(B5=found), dict(B5=looks), dict(B5={}), {}, B5).itertuples()
+        assert (row.condition, row.other_condition) == (conditions[0], other)
 
 
 def test_what_the_paper_compares_is_judged_by_every_rule_for_w():
@@ -773,6 +799,8 @@ def test_measured_agrees_with_the_log(run):
     late = log[log["t_s"] >= 30]
     assert shown["kkt_rhe_late"] == pytest.approx(late["kkt_rhe"].median())
     assert shown["deviation_kappa_late"] == pytest.approx(late["kappa_hat"].std(ddof=0))
+    speed = log["nu_mps"][log["t_s"] >= 5].abs()
+    assert shown["speed_variation"] == pytest.approx(speed.std(ddof=0) / speed.mean())
     far = log["y_m"][log["y_m"].abs() > 0.05]  # the first row runs along x
     assert shown["swings"] == (np.sign(far).diff().dropna() != 0).sum()
     assert 0 < shown["late_s"] == pytest.approx(59.8 - log["s_m"].iloc[-1] / 0.5)
@@ -819,6 +847,15 @@ def test_a_mirrored_drive_has_the_mirrored_bias():
         assert one[name] == pytest.approx(other[name], rel=1e-6) and one[name] > 0
 
 
+def test_dead_reckoning_sums_the_encoders_yaw_rates():
+    fields = run_sets.RUNS["dead_reckoning"]
+    (scenario,) = run_sets.scenarios(fields, "prediction", [0], dict(duration_s=20.0))
+    log = rhec.simulate(scenario).log
+    turned = paper.DT_S * log["omega_meas_radps"].cumsum()
+    np.testing.assert_allclose(log["theta_hat_rad"], turned, atol=1e-12)
+    np.testing.assert_array_equal(log[["x_hat_m", "nu_hat_mps"]], log[["x_meas_m", "nu_meas_mps"]])
+
+
 def test_a_drive_in_a_world_turns_to_both_sides():
     for fields in (dict(), dict(speed_mps=0.3, row_length_m=12.0)):
         duration_s = worlds._drive_s(fields, on_row=False)
@@ -856,6 +893,27 @@ def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
     one, other = (made[noise, "gains"] for noise in noises)
     pd.testing.assert_frame_equal(one, other)
     assert len(one) == 100
+
+
+def test_each_field_of_the_arrival_costs_is_driven_once():
+    tasks = experiments._tasks("prediction", "arrival_cost", 300)
+    assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
+
+
+def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch):
+    """Of drives whose errors, times and distances from the converged command are known."""
+    is_late = paper.DT_S * np.arange(800) >= experiments.SETTLED_S
+
+    def live(scenario, iterations):
+        return np.where(is_late, 0.01 * iterations, 9.0), np.full(800, 1e-6 * iterations)
+
+    apart = np.where(is_late, 3e-4, 9.0), np.where(is_late, -5e-4, 9.0)
+    monkeypatch.setattr(experiments, "live", live)
+    monkeypatch.setattr(experiments, "_distances_from_converged", lambda scenario: apart)
+    found = experiments._iterations("prediction", 0)
+    expected = dict(error_one_m=0.01, error_many_m=0.1, one_us=1.0, many_us=10.0)
+    expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=9.0)  # the last, of the whole drive
+    assert found == pytest.approx(expected)
 
 
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):

@@ -8,6 +8,7 @@ import pytest
 
 import rhec
 from notebooks.studies import interpretations, order, order_in_worlds, which_worlds
+from notebooks.studies.statistics import HOLDS, LOST
 from rhec import paper
 from rhec.simulation import offline
 from rhec.tracked_robot import tuning
@@ -177,3 +178,10 @@ def test_every_choice_is_a_scenario_and_another_one_than_the_default():
     for choices in (order.VARIATIONS, order_in_worlds.unlisted_cases(), listed):
         for name, fields in choices.items():
             assert (rhec.Scenario(**fields) == usual) == (name == "as by default"), name
+
+
+def test_a_cell_tells_both_errors_unless_the_ekf_is_lost():
+    row = dict(process_noise="printed", rhe_m=0.1, ekf_m=0.12, mean=-0.02, low=-0.025, high=-0.015)
+    rows = [row | dict(variation="a", verdict=HOLDS), row | dict(variation="b", verdict=LOST)]
+    cells = order.readable_order(pd.DataFrame(rows))["printed"]
+    assert dict(cells) == dict(a="0.1000 / 0.1200, −20.0 ± 5.0", b="0.1000 / lost")

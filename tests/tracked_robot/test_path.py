@@ -54,6 +54,11 @@ def along(path, s, **given):
     }
 
 
+def test_a_path_may_be_shorter_than_a_metre():
+    path = rhec.Path.from_segments([(0.3, 2.0)])
+    np.testing.assert_allclose(path.poses([0.2])[0], [[np.sin(0.4) / 2, np.sin(0.2) ** 2, 0.4]])
+
+
 @pytest.mark.parametrize("turns", PATTERNS)
 def test_a_path_turns_to_the_sides_that_it_says(turns):
     """Within 300 s at 0.5 m/s; its rows are as long as asked for."""
