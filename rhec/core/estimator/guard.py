@@ -19,10 +19,10 @@ The words, here and there:
 | --- | --- |
 | used | what the feedback takes in place of what was measured: `z_used`, NaN for what is left out |
 | accepted | flags: which of the measurements are used |
-| agrees | whether the sample as a whole agrees with its prediction |
+| agrees | whether the sample as a whole agrees with its prediction, or restarts the window |
 | ok | whether the estimate is a solution that takes in a sample that agrees |
 | kept | whether the window goes on from the solution; otherwise it fails, and restarts without it |
-| restart | whether the window starts anew where the judge says, with a solution or without one |
+| restart | whether the window starts anew where the judge says; after a solution that is kept |
 """
 
 import casadi as ca

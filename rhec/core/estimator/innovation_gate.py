@@ -190,7 +190,8 @@ class InnovationGate:
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
             run = self._run(window, before, noise, seen, z_N, age)
             m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, z_N, m_0, P_0)
-            # The three chances: as measured, with the inputs that are kept, without its outputs.
+            # The chances: as measured, with the inputs that are kept, by a noise that has grown,
+            # without its outputs.
             as_measured = ca.if_else(run.is_noisier, 1, seen.fits)
             is_used = ca.if_else(run.is_noisier, 1, seen.is_used)
             has_outputs = ca.logic_or(is_used, run.restart)
@@ -247,18 +248,18 @@ class InnovationGate:
         fits_kept = _distance(y_kept, grown + H @ (P_kept - P) @ H.T, has) <= limit
         fits = ca.if_else(is_clean, 1, d <= limit)  # 0 where it is NaN
         return _Seen(
-            at_measured,
-            at_kept,
-            kept,
-            has,
-            S,
-            grown,
-            limit,
-            d,
-            scale,
-            strays,
-            unknown,
-            fits,
+            at_measured=at_measured,
+            at_kept=at_kept,
+            kept=kept,
+            has=has,
+            S=S,
+            grown=grown,
+            limit=limit,
+            d=d,
+            scale=scale,
+            strays=strays,
+            unknown=unknown,
+            fits=fits,
             is_used=ca.if_else(is_clean, 1, ca.logic_or(fits, fits_kept)),
             is_clean=is_clean,
         )
@@ -288,7 +289,17 @@ class InnovationGate:
             s_N = ca.if_else(is_there, opposite, s_N)
         restart *= new_start.fits(window, outputs, s, s_N, z_N, y)
         is_louder = is_noisy * ca.logic_or(is_noisier, restart)
-        return _Run(counted, y, square, s, s_N, is_noisier, is_louder, restart, opposite)
+        return _Run(
+            counted=counted,
+            y=y,
+            square=square,
+            s_predicted=s,
+            s=s_N,
+            is_noisier=is_noisier,
+            is_louder=is_louder,
+            restart=restart,
+            opposite=opposite,
+        )
 
     def _after(self, window, before, seen, run, is_used):
         """The noise's factor at this sample, and the memory after it."""
