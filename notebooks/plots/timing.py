@@ -89,7 +89,7 @@ def phases(times, machine):
         note(axes, f"{total:.3g} µs", (total, last + shift), (5, -40 * shift))
     names = [" ".join(which) for which in _COLOURS]
     axes.set_yticks(range(len(names) + 1), [*names, "measurement to command"])
-    axes.set(ylim=(len(names) + 0.5, -0.5))
+    axes.set(ylim=(len(names) + 0.8, -0.5))
     log_axis(axes.xaxis)
     axes.set_xlabel("time [µs], logarithmic; marker: average, line: minimum to maximum")
     axes.grid(axis="y", visible=False)
