@@ -198,9 +198,9 @@ class Window(NamedTuple):
         """A node's prediction after its sample z: `predict_input`, then `kalman.update`."""
         if isinstance(P, ca.MX):
             found = _build_corrected(self)(B, m, P, v, z, s_bar, *noise.values())
-            *found, y, S = found
+            m, P, K, e, y, S = found
             deviance = kalman.deviance_of(z, self.interval.outputs, y, S)
-            return kalman.Update(*found, deviance, None, y, S)
+            return kalman.Update(m, P, K, e, deviance, None, y, S)
         m, P = self.predict_input(B, m, P, v, z, **noise)
         return kalman.update(m, P, z, noise["V"], self.interval.outputs, s_bar)
 
@@ -823,7 +823,7 @@ def init(window, guess, sigma, inputs=0.0, known=0.0):
     s = np.full((N + 1, window.interval.n_s), guess).T
     v = np.full((N, window.interval.n_v), inputs).T
     z = np.full((len(window.model.sampled), N + 1), np.nan)
-    z[len(window.model.outputs) :].T[:] = known
+    z[len(window.model.outputs) :] = np.reshape(known, (-1, 1))
     for place, row in window.interval.known.items():
         v[place] = z[row, 0]
     memory = dict(s=s, v=v, z=z, age=-1.0, m=np.asarray(guess), P=np.diag(np.square(sigma)))
@@ -939,9 +939,7 @@ class RHE(RealTimeLoop):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._set_noise(sigma_w)
-        take_known(self.model.known, known, self._known)
-        self._set_inputs(z=z)
+        self._set_sample(z, sigma_w, known)
         self.iteration.feedback()
         return self._estimate()
 
@@ -962,9 +960,7 @@ class RHE(RealTimeLoop):
         Raises:
             ValueError: If an argument is invalid.
         """
-        self._set_noise(sigma_w)
-        take_known(self.model.known, known, self._known)
-        self._set_inputs(z=z)
+        self._set_sample(z, sigma_w, known)
         self.iteration.solve(iterations)
         return self._estimate()
 
@@ -1000,6 +996,12 @@ class RHE(RealTimeLoop):
         # They are not needed for the newest estimate, so feedback leaves them to expand.
         self.iteration.expand()
         return self.iteration.previous[name].reshape((n_rows, n_columns), order="F").copy()
+
+    def _set_sample(self, z, sigma_w, known):
+        """Copy the newest sample in, with the noise and the known signals that came with it."""
+        self._set_noise(sigma_w)
+        take_known(self.model.known, known, self._known)
+        self._set_inputs(z=z)
 
     def _set_noise(self, sigma_w):
         if self.window.noisy:

@@ -140,15 +140,16 @@ def _good_share(merit, lengths, old, step, given, share, mu, lost):
     μ makes what is missing at the ends of the intervals twice as dear as what closing it costs, by
     the cost's slope, and by its rise along the share.
     """
-    cost, gaps = called(merit, old, given)
+    here = merit(**old, **given)
+    cost = here["cost"]
+    gaps = here["gaps"]
     cost_there, gaps_there = called(merit, moved(old, step, share), given)
     rise = ca.fmax((cost_there - cost) / share, slope_of(merit, old, step, given))
     mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
     before = cost + mu * gaps
     # Far from the origin the states' own rounding counts more than that of the merit.
     of_gaps, of_way = lost
-    way = merit(**old, **given)["way"]
-    rounding = _ROUNDING * ca.fabs(before) + mu * of_gaps + of_way * way
+    rounding = _ROUNDING * ca.fabs(before) + mu * of_gaps + of_way * here["way"]
     limits = dict(penalty=mu, merit=before, slope=0, rounding=rounding)
     first = dict(length=share, cost=cost_there, gaps=gaps_there)
     steps = {f"{key}_step": change for key, change in step.items()}
