@@ -96,6 +96,14 @@ def test_an_entry_of_f_may_be_a_number(still):
     np.testing.assert_array_equal(at_rest.simulate((1, 2), np.zeros((3, 0)), dt=0.1)[-1], (1, 2))
 
 
+def test_functions_of_numpy_are_those_of_casadi_without_a_warning():
+    by_numpy, by_casadi = (
+        rhec.Model(states="x", f=lambda x, u, p, sine=sine: [sine(x[0])])
+        for sine in (np.sin, ca.sin)
+    )
+    assert by_numpy == by_casadi
+
+
 @pytest.mark.parametrize(
     ("slope", "helps"),
     [
@@ -104,6 +112,8 @@ def test_an_entry_of_f_may_be_a_number(still):
         (lambda x: x * (x > 0 and x < 1), "ca.logic_and"),
         (lambda x: max(x, 0), "ca.fmax"),
         (lambda x: None, "one expression or a list"),
+        (lambda x: ca.vertcat(x)[3], "not\\); x has 1, u has 0, p has 0 entries"),
+        (lambda x: ca.vertcat(x)[-2], "not\\); x has 1, u has 0, p has 0 entries"),
     ],
 )
 def test_what_python_cannot_do_with_symbols_is_refused_with_what_helps(slope, helps):

@@ -142,6 +142,8 @@ def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     finished = toolchain.run(machine, program, tmp_path / "log.csv")
     assert finished.returncode == 1
     assert "largest difference in 100 samples: 1e-08" in finished.stderr
+    finished = toolchain.run(machine, program, tmp_path / "nowhere.csv")
+    assert finished.returncode == 2 and "nowhere.csv, which cannot be read" in finished.stderr
 
 
 def test_the_closest_point_equals_path_project():

@@ -61,6 +61,7 @@ def test_the_id_of_a_claim_is_data(checkout):
     for text in HOSTILE:
         assert run_make(checkout, "claim", f"ID={text}")[-1] == text
         assert run_make(checkout, "claim", ID=text)[-1] == text
+        assert run_make(checkout, "claim", f"id={text}")[-1] == text
         assert not (checkout / "stolen").exists(), text
 
 

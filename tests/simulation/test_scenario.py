@@ -49,6 +49,8 @@ REFUSED = [
     (dict(faults=DEAD_GYRO), "faults was …sensors should have 'gyro', too"),
     (dict(sped_mps=1), "Scenario has no parameter 'sped_mps'; did you mean 'speed_mps'?"),
     (dict(Seed=1), "Scenario has no parameter 'Seed'; did you mean 'seed'?"),
+    (dict(world="soft"), "Scenario has no …Scenario(**rhec.WORLDS['soft'])"),
+    (dict(nothing_alike=1), "Scenario has no …help(rhec.Scenario) lists them"),
     (
         dict(estimator="bounded_ekf", process_noise="soft_soil"),
         "process_noise was 'soft_soil'; for the estimator 'bounded_ekf' it should be None or one "

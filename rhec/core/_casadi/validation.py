@@ -54,8 +54,10 @@ def _sentence_of(name, fields, error, instead=None):
     place = first["loc"]
     if kind == unknown:
         close = get_close_matches(place[0], fields, 1, 0.5)
-        suggestion = f"did you mean {close[0]!r}?" if close else f"help(rhec.{name}) lists them"
-        return f"{name} has no parameter {place[0]!r}; {(instead or {}).get(place[0], suggestion)}"
+        advice = f"did you mean {close[0]!r}?" if close else f"help(rhec.{name}) lists them"
+        if instead and place[0] in instead:
+            advice = instead[place[0]]
+        return f"{name} has no parameter {place[0]!r}; {advice}"
     if not place:  # a check across parameters, which has a sentence of its own
         return str(first["ctx"]["error"])
     parameter = fields[place[0]] if isinstance(place[0], int) else str(place[0])

@@ -49,8 +49,8 @@ def expression_of(name, function, symbols, *sizes):
             expected = "it should use ca.if_else, ca.logic_and, ca.fmin or ca.fmax instead"
         if any(words in str(error).lower() for words in _BEYOND):
             problem = "it asks for an entry that there is not"
-            sizes = zip(arguments, symbols)
-            expected = f"it is given {', '.join(f'{s} of {of.numel()}' for s, of in sizes)} entries"
+            sizes = [f"{s} has {each.numel()}" for s, each in zip(arguments, symbols)]
+            expected = f"{', '.join(sizes)} entries"
         raise ValueError(f"{name} was refused ({problem}); {expected}") from error
     problem = f"{name} was {shown(value)}"
     if value.numel() not in sizes or 1 not in value.shape:
