@@ -25,6 +25,7 @@ from rhec.simulation.scenario import Scenario
 
 IN_C, CLOSED_LOOP = "rhec, in C", "rhec, closed loop"
 BEFORE, COUNTED = 5, 10  # problems that a peer solves before it is counted, and then
+SCENARIO = Scenario(process_noise="prediction", duration_s=60.0)  # of the loop that is counted
 
 
 def available():
@@ -40,9 +41,6 @@ def compiled_names():
         names[problem, "preparation"] = [phases[n] for n in ("expand", "shift", "linearise")]
         names[problem, "feedback"] = [phases["feedback"]]
     return names
-
-
-SCENARIO = Scenario(process_noise="prediction", duration_s=60.0)
 
 
 def drive():

@@ -15,7 +15,8 @@ import pandas as pd
 
 from notebooks.further.recorded import verdicts
 from notebooks.further.recorded.scores import mounting_angle_rad, save, straight_angles
-from notebooks.studies.answer import RESULTS, to_markdown
+from notebooks.studies.answer import RESULTS
+from notebooks.studies.tables import to_markdown
 from rhec import style
 
 FOLDER = style.ROOT / "data" / "recordings"
