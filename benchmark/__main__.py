@@ -10,7 +10,17 @@ from datetime import date
 
 import pandas as pd
 
-from benchmark import acados_peer, campaigns, first, floor, instructions, lines, peers, problems
+from benchmark import (
+    acados_peer,
+    campaigns,
+    first,
+    floor,
+    instructions,
+    latency,
+    lines,
+    peers,
+    problems,
+)
 from benchmark import step as steps
 from benchmark.tables import FOLDER, read
 from notebooks.studies import timing
@@ -104,6 +114,16 @@ def near_floor():
     rows = read("step")
     rows = rows[rows["contestant"] == instructions.IN_C].set_index(["problem", "phase"])
     save(floor.measure(rows["median_us"]), "floor")
+
+
+@part
+def explorer():
+    """From a key to the picture of the explorer, where there is a Chromium."""
+    with latency.opened() as found:
+        if found:
+            save(latency.measure(*found), "explorer")
+        else:
+            print("There is no Chromium or no Playwright, so the explorer is not measured.")
 
 
 @part

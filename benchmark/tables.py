@@ -216,6 +216,22 @@ def floor():
     return f"{measured_on('floor')} {speed}\n\n{to_markdown(pd.DataFrame(rows))}"
 
 
+def explorer():
+    """From a key to the picture of the explorer."""
+    rows = [
+        {
+            "": f"{row['drives']:.0f} drives" if row["drives"] > 1 else "1 drive",
+            "from the key to the picture, median [5 %, 95 %]": "{} [{}, {}]".format(
+                *(in_units(1e-3 * row[f"{part}_ms"]) for part in ("median", "low", "high"))
+            ),
+            "of this the drives": in_units(1e-3 * row["kernel_median_ms"]),
+            "moves": f"{row['moves']:.0f}",
+        }
+        for row in read("explorer").to_dict("records")
+    ]
+    return f"{measured_on('explorer')}\n\n{to_markdown(pd.DataFrame(rows))}"
+
+
 def lines():
     """The lines that a user writes."""
     table = read("lines").pivot(index="task", columns="contestant", values="lines")
@@ -292,6 +308,7 @@ _TABLES = {
     "bench_campaigns": campaigns,
     "bench_first": first,
     "bench_floor": floor,
+    "bench_explorer": explorer,
     "bench_lines": lines,
 }
 BLOCKS = {name: or_missing(function) for name, function in _TABLES.items()}

@@ -5,6 +5,8 @@ and what the page then shows. `test_live.py` tests the values that a pointer sho
 import numpy as np
 import pytest
 
+from benchmark import latency
+
 # From here on the page counts the pictures that follow a change, and notes which messages the
 # kernel has not yet dealt with.
 WATCH = """() => {
@@ -199,3 +201,10 @@ def contrast(one, other):
 
     low, high = sorted([luminance(one), luminance(other)])
     return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.nightly
+def test_the_benchmark_times_moves_of_a_slider(lab, page):
+    table = latency.measure(lab, page, moves=2)
+    assert list(table["drives"]) == [2, 1]
+    assert (table["kernel_median_ms"] < table["median_ms"]).all()
