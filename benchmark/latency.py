@@ -16,6 +16,7 @@ NEXT_MS = 250  # between a picture and the next key
 # The clock of a move: from the key until the browser is through with the frame that follows the
 # explorer's last drawing.
 WATCH = """() => {
+    window.pressed = window.took = 0
     document.addEventListener('keydown', () => window.pressed = performance.now(), true)
     const painted = () => window.took = performance.now() - pressed
     document.addEventListener('drawn', () => requestAnimationFrame(() => setTimeout(painted)))
