@@ -94,29 +94,33 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
 
     @casadi_function("guarded_feedback", symbols, **shapes)
     def feedback(**inputs):
-        used = dict(W_used=inputs["W"]) if window.noisy else {}
-        given = dict(inputs)
-        if intervals:
-            given |= intervals(**select_inputs(intervals, given))
-        given |= is_clean(**select_inputs(is_clean, given))
-        verdict = inlined(function, given)
-        chosen = newest_interval.chosen(window, given, verdict) if intervals else {}
-        given = newest_interval.replaced(given, chosen)
-        given = noise_as_used(window, given, verdict["scale_used"])
-        given["z_N"] = verdict["z_used"]
-        given["P_N"] = verdict.pop("P_used")
-        given["m_N"] = verdict.pop("m_used")
-        if "W_window" in given:  # the feedback solves for all of the window
-            given |= whole_noise(window, given | used)
-        result = feedback_of_rhe(**select_inputs(feedback_of_rhe, given))
-        concluded = judge.conclude(window, inputs, verdict, result)
-        for name in ("agrees", "as_measured", "is_rejected", "s_predicted"):
-            del verdict[name]
-        taken = {f"{name}_taken": piece for name, piece in chosen.items()}
-        taken |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}
-        return result | verdict | used | concluded | taken
+        variants = intervals(**select_inputs(intervals, inputs)) if intervals else {}
+        predicted = inputs | variants
+        predicted |= is_clean(**select_inputs(is_clean, predicted))
+        verdict = inlined(function, predicted)
+        chosen = newest_interval.chosen(window, predicted, verdict) if intervals else {}
+        used = _as_used(window, inputs, verdict, chosen)
+        result = feedback_of_rhe(**select_inputs(feedback_of_rhe, used))
+        for_expand = {f"{name}_taken": piece for name, piece in chosen.items()}
+        for_expand |= dict(is_only_step=inputs["iteration"] == 0) if intervals else {}
+        for_expand |= dict(W_used=inputs["W"]) if window.noisy else {}
+        told = {name: value for name, value in verdict.items() if name not in _WITHIN}
+        return result | told | judge.conclude(window, inputs, verdict, result) | for_expand
 
     return feedback
+
+
+# What the judge tells the feedback alone.
+_WITHIN = ("m_used", "P_used", "agrees", "as_measured", "is_rejected", "s_predicted")
+
+
+def _as_used(window, inputs, verdict, chosen):
+    """The feedback's inputs, with the newest interval and the sample as the judge has them used."""
+    used = newest_interval.replaced(inputs, chosen)
+    used = noise_as_used(window, used, verdict["scale_used"])
+    if "W_window" in used:  # the feedback solves for all of the window
+        used |= whole_noise(window, used | dict(W_used=inputs["W"]))
+    return used | dict(z_N=verdict["z_used"], m_N=verdict["m_used"], P_N=verdict["P_used"])
 
 
 def _first_and_later(window, feedback, symbols):

@@ -18,7 +18,8 @@ left side has the distribution χ² with one degree of freedom where μ is at 0.
 not `ok`. An absurd speed measurement can bring it about for as long as the window holds it. After
 more samples that say so than a window holds, the robot is turned round, and the window restarts.
 Only a full window that does not say so takes back what was counted: a window that is turned round
-may restart again and again because it rejects its samples.
+may restart again and again because it rejects its samples. All of the samples of one that restarts
+before it is full count, too.
 """
 
 import functools
@@ -68,8 +69,9 @@ class HalfTurn(NamedTuple):
             restart: Whether the window starts anew with this sample, so that it is not full.
         """
         before = given["turned"] * (1 - self.is_certain(window, given["turned"]))
-        unless = before * ca.logic_or(given["age"] < window.N, restart)
-        return ca.if_else(is_seen, before + 1, unless)
+        is_young = given["age"] < window.N
+        unless = before * ca.logic_or(is_young, restart)
+        return ca.if_else(is_seen, before + 1, unless) + restart * is_young * given["age"]
 
     def is_certain(self, window, turned):
         """Whether so many samples say so that no window holds them all."""

@@ -143,7 +143,7 @@ class InnovationGate:
         shapes = window.prediction | window.noise | self.memory(window)
         shapes |= dict.fromkeys(("s_N", "m_0", "P_0"), (window.interval.n_s, 1))
         shapes |= dict(z_N=(len(window.model.sampled), 1), v=window.pieces.v)
-        if self.sees_parameter(window) or self.sees_opposite(window):
+        if self.sees_parameter(window):
             shapes |= dict(age=(1, 1))
         if window.at_measured_input:
             shapes |= newest_interval.variants_of(window)
@@ -157,7 +157,7 @@ class InnovationGate:
         """
 
         @casadi_function("gate_is_clean", ca.SX, **self._shapes(window))
-        def gate_is_clean(m_0, P_0, z_N, v, age=None, iteration=None, **values):
+        def gate_is_clean(m_0, P_0, z_N, v, iteration=None, **values):
             before, noise, predictions = self._given(window, values)
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, 0)
             is_first = before["rejected"] + before["missing"] == 0
@@ -182,13 +182,13 @@ class InnovationGate:
 
         @short_cut("is_clean")
         @casadi_function("gate", ca.SX, **self._shapes(window), is_clean=(1, 1))
-        def gate(m_0, P_0, z_N, v, is_clean, age=None, iteration=None, **values):
+        def gate(m_0, P_0, z_N, v, is_clean, iteration=None, **values):
             before, noise, predictions = self._given(window, values)
             # A clean sample has usual ones before it: what follows from others is left out then.
             usual = noise_level.USUAL | dict(rejected=0, missing=0, in_line=0)
             before |= {key: ca.if_else(is_clean, each, before[key]) for key, each in usual.items()}
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
-            run = self._run(window, before, noise, seen, z_N, age)
+            run = self._run(window, before, noise, seen, z_N)
             m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, z_N, m_0, P_0)
             # The chances: as measured, with the inputs that are kept, by a noise that has grown,
             # without its outputs.
@@ -264,7 +264,7 @@ class InnovationGate:
             is_clean=is_clean,
         )
 
-    def _run(self, window, before, noise, seen, z_N, age):
+    def _run(self, window, before, noise, seen, z_N):
         """The _Run of rejected samples with this one, if it is not used."""
         outputs = self.outputs(window)
         # m_N knows nothing of bounds; s_N follows from the last solution, which does.
@@ -284,7 +284,7 @@ class InnovationGate:
         if self.sees_opposite(window):
             opposite, is_there = self._opposite(window, before, seen, z_N)
             opposite = ca.if_else(seen.is_clean, before["opposite"], opposite)
-            is_there *= restart * (counted["rejected"] <= age) * (seen.d > seen.limit)
+            is_there *= restart * (seen.d > seen.limit)
             y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
             s_N = ca.if_else(is_there, opposite, s_N)
         restart *= new_start.fits(window, outputs, s, s_N, z_N, y)

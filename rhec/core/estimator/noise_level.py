@@ -70,13 +70,14 @@ def spreads(memory, square, has_any, is_line):
 
 
 def is_noisy(run, is_in_line, scale):
-    """Whether the samples of a run scatter: those in line, if they are, or many of them.
+    """Whether the samples of a run scatter: the last ones if they are in line, else many of them.
 
-    What is in line only by a noise of this scale, which the run itself may have raised, scatters.
+    Wild samples before a line say nothing of those in it. What is in line only by a noise of this
+    scale, which the run itself may have raised, scatters.
     """
-    is_many = run["rejected"] >= TUNED.patience
-    spread = ca.if_else(is_in_line, run["line_spread"] * scale, is_many * run["spread"])
-    return spread > TUNED.scattered
+    is_told = ca.logic_or(is_in_line, run["rejected"] >= TUNED.patience)
+    spread = ca.if_else(run["in_line"] > 0, run["line_spread"] * scale, run["spread"])
+    return is_told * (spread > TUNED.scattered)
 
 
 def followed(memory, square, is_told):

@@ -424,13 +424,22 @@ def _build_update_newest(window):
     return update_newest
 
 
+def _predicted(interval, s_N):
+    """The estimate of a step without a solution: the prediction within bounds, of any variance."""
+    s = ca.SX(s_N)
+    for place, (lower, upper) in interval.bounds.items():
+        s[place] = ca.fmin(ca.fmax(s[place], lower), upper)
+    return s, MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
+
+
 def _build_condition(window):
     interval = window.interval
+    places = [*interval.bounds]
     s, P, v, z, correction, q = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
     newest = dict(s_N=s, B_N=interval.sparsities["B"], v_N=v, z_N=z)
     newest |= dict(K_N=correction["K"], e_N=correction["e"])
-    C, lower, upper = _bounded(interval)
+    C, _, _ = _bounded(interval)
 
     @casadi_function("rhe_bounded")
     def condition(
@@ -438,28 +447,25 @@ def _build_condition(window):
     ):
         """The newest estimate given q:  s = m - P C' λ,  λ = H (q̂ - q), P the covariance.
 
-        Where the solution is not finite, the estimate falls back to the prediction.
+        Where that is not finite, the estimate is the prediction (`_predicted`), with the last input
+        as measured.
         """
         s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
         multipliers = H @ (C @ m - q)
-        conditioned = m - covariance @ C.T @ multipliers
-        ok = solved * is_plausible(ca.vertcat(conditioned, ca.vec(covariance), multipliers))
-        s = ca.if_else(ok, conditioned, s_N)
-        for i, place in enumerate(interval.bounds):
-            # q exactly as the QP found it: s above may pass a bound by a rounding error.
-            s[place] = ca.if_else(ok, q[i], ca.fmin(ca.fmax(s_N[place], lower[i]), upper[i]))
+        s = m - covariance @ C.T @ multipliers
+        ok = solved * is_plausible(ca.vertcat(s, ca.vec(covariance), multipliers))
+        s[places] = q  # exactly as the QP found it: s may pass a bound by a rounding error
         v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not window.quantities:
-            # The last input as estimated; as measured where that is not finite.
             adjoint = C.T @ multipliers
             adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N, z_N)
             v_new = v - R_v * (B_N.T @ adjoint)
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
+        predicted = _predicted(interval, s_N)
+        s, covariance = (ca.if_else(ok, *pair) for pair in zip((s, covariance), predicted))
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         estimate = ca.vertcat(*(values[name] for name in window.estimated))
-        unknown = MAX_PLAUSIBLE_STATE * ca.SX.eye(interval.n_s)
-        covariance = ca.if_else(ok, covariance, unknown)
         return dict(estimate=estimate, multipliers=multipliers, covariance=covariance, ok=ok)
 
     return condition
@@ -974,8 +980,13 @@ class RHE(RealTimeLoop):
 
         The mean is over three windows, if these are longer.
         """
-        share = self.iteration.arrays.get("share_after")
-        return 0.0 if share is None else share.item()
+        return self.iteration.arrays["share_after"].item()
+
+    @property
+    def accepted(self) -> np.ndarray:
+        """Which of the last sample's measurements (n_z,) were used: not missing, nor rejected."""
+        used = self.iteration.arrays["z_used"][: len(self.model.outputs)]
+        return self.iteration.started & (np.abs(used) <= self.model.limits)
 
     @property
     def x_window(self) -> np.ndarray:
