@@ -123,8 +123,8 @@ class Shape(NamedTuple):
 
     @property
     def policy(self):
-        """Shapes of the feedback K of a stage's input, and of the inverse of its Hessian."""
-        return dict(K=(self.m, self.n), inverse=(self.m, self.m))
+        """Shapes of the feedback K of a stage's input, and of `_inverse_root` of its Hessian."""
+        return dict(K=(self.m, self.n), root=ca.Sparsity.lower(self.m))
 
     def of_all_nodes(self, shapes):
         """Shapes of matrices of the nodes side by side."""
@@ -357,16 +357,26 @@ def _build_factor(shape):
         PB = P @ B
         M_uu = symmetric(M[n:, n:] + B.T @ PB)
         M_ux = M[n:, :n] + PB.T @ A
-        if shape.m == 1:
-            inverse = 1 / M_uu
-        else:
-            factors = ca.ldl(ca.densify(M_uu), False)
-            inverse = symmetric(ca.ldl_solve(ca.SX.eye(shape.m), *factors))
-        K = -inverse @ M_ux
+        root = _inverse_root(M_uu)
+        K = -root.T @ (root @ M_ux)
         P_before = symmetric(M[:n, :n] + A.T @ P @ A + M_ux.T @ K)
-        return dict(P_before=P_before, K=K, inverse=inverse)
+        return dict(P_before=P_before, K=K, root=root)
 
     return factor
+
+
+def _inverse_root(M):
+    """The lower triangle L⁻¹ of M = L L', whose products solve M y = b by y = L⁻' (L⁻¹ b).
+
+    Of M⁻¹ itself rounding would leave little where w is high: M is steep then in one direction, and
+    all others follow from differences of its entries.
+    """
+    D, above, _ = ca.ldl(ca.densify(M), False)
+    rows = []
+    for i in range(M.size1()):
+        unit = ca.SX.eye(M.size1())[i, :]
+        rows.append(unit - sum(above[j, i] * row for j, row in enumerate(rows)))
+    return ca.diag(1 / ca.sqrt(D)) @ ca.vertcat(*rows)
 
 
 def _build_vector(shape):
@@ -380,7 +390,7 @@ def _build_vector(shape):
     @casadi_function("qp_vector")
     def vector(p: (n, 1), cost: (1, 1), g: g_i, D: D_i, B: B_i, policy: shape.policy):
         g_u = g[n:] + B.T @ p
-        k = -policy["inverse"] @ g_u
+        k = -policy["root"].T @ (policy["root"] @ g_u)
         p_before = g[:n] + (shape.A_0 + D).T @ p + policy["K"].T @ g_u
         return dict(p_before=p_before, k=k, cost_before=cost - ca.dot(g_u, k) / 2)
 
@@ -414,7 +424,7 @@ def _build_compliance(shape):
         W: (n, n), most: shape.side, D: D_i, B: B_i, E: E_i, b: b_i, policy: shape.policy
     ):
         KW = policy["K"] @ W
-        of_inputs = KW @ policy["K"].T + policy["inverse"]
+        of_inputs = KW @ policy["K"].T + policy["root"].T @ policy["root"]
         C = ca.vertcat(ca.horzcat(W, KW.T), ca.horzcat(KW, of_inputs))
         moves = ca.horzcat(shape.A_0 + D, B)
         there, _ = _bounded(b)
@@ -516,13 +526,13 @@ def _build_measure(shape):
     """
     n = shape.n
     stage = shape.stage
-    _, inverse_i = shape.policy.values()
+    _, root_i = shape.policy.values()
     one = (1, 1)
 
     @casadi_function("qp_measure")
     def measure(
         a: (n, 1), error: one, gain: one, stage: stage,
-        price: shape.price, point: shape.point, inverse: inverse_i,
+        price: shape.price, point: shape.point, root: root_i,
     ):  # fmt: skip
         nothing = {name: ca.DM.zeros(*each) for name, each in shape.aim.items()}
         r_s = _newton(shape, stage["E"], stage["b"], price, point, nothing).r_s
@@ -532,7 +542,7 @@ def _build_measure(shape):
         return dict(
             a_before=gradient[:n] + (shape.A_0 + stage["D"]).T @ a,
             error_before=functools.reduce(ca.fmax, errors, error),
-            gain_before=gain + ca.fabs(ca.bilin(inverse, r, r)) / 2,
+            gain_before=gain + ca.sumsqr(root @ r) / 2,
         )
 
     return measure
@@ -621,9 +631,9 @@ def _build_measured(shape):
     def measured(stages, values, price, policies):
         carried = [ca.DM.zeros(shape.n), 0, 0]
         nodes = zip(stages, shape.by_node(shape.point, values), policies)
-        for stage, point, (_, inverse) in reversed(list(nodes)):
+        for stage, point, (_, root) in reversed(list(nodes)):
             given = list(select_inputs(measure, stage | price | point).values())
-            carried = measure(*carried, *given, inverse)
+            carried = measure(*carried, *given, root)
         return carried[1:]
 
     return measured
