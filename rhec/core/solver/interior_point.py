@@ -238,6 +238,17 @@ def _widest(shape, b):
     return ca.if_else(own > _TINY, own, other) + _TINY
 
 
+def _band(shape, there, b):
+    """How far the bounds of each hard row are apart, where they are nearest: no distance is more.
+
+    If both distances began far beyond that, their multipliers would grow against each other.
+    """
+    places = [0, shape.n_hard // 2, shape.n_hard, 2 * shape.n_rows]
+    upper, lower, _ = ca.vertsplit(ca.if_else(there, b, _NO_BOUND), places)
+    least = -_largest(-(upper + lower))
+    return ca.vertcat(least, least, _NO_BOUND * ca.DM.ones(*shape.soft))
+
+
 def _build_start(shape):
     """The first point: z = 0, with λ s = γ t, and what stays the same: prices, δ, scales.
 
@@ -258,7 +269,8 @@ def _build_start(shape):
         scale = cost + ca.dot(stiffness, ca.sum2(ca.fmin(b, 0) ** 2)) / 2 + _hidden(stages) + _TINY
         # A bound that rounding alone keeps away, such as at rest on it, has no scale of its own.
         free_way = ca.sqrt(scale * compliance)
-        widest = ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way)
+        band = _band(shape, there, b)
+        widest = ca.fmin(ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way), band)
         own = _OWN_PRICE * ca.sqrt(scale * stiffness[shape.n_hard :])
         own *= 10 ** -given["relief"]
         own += _pushed(shape, given, b, compliance, stiffness)
@@ -277,7 +289,8 @@ def _build_start(shape):
         # If a price is high, λ s = γ t needs a small t, but not where the bound is exceeded.
         t = ca.fmax(first / (linear + quadratic * near + first / near), exceeded)
         gam = ca.fmax(first / t, linear + quadratic * t)
-        s = ca.if_else(there, ca.fmax(b + _of_all_sides(shape, t), nearest), 1)
+        s = ca.fmax(b + _of_all_sides(shape, t), nearest)
+        s = ca.if_else(there, ca.fmin(s, ca.repmat(band, 1, shape.N + 1)), 1)
         point = dict(z=ca.DM.zeros(shape.n + shape.m, shape.N + 1), s=s, lam=there * first / s)
         point |= dict(t=ca.if_else(soft, t, 1), gam=ca.if_else(soft, gam, 1))
         constant = price | dict(delta=delta, widest=widest)
