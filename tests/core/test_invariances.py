@@ -317,21 +317,8 @@ def test_estimates_and_commands_follow(row):
     assert_follows(*row)
 
 
-# Bounds that lie on each other or do not count move these plans by up to half of their range, in
-# QPs whose plan lies on most of its bounds. The cause is not known.
-OPEN = {
-    ("crawler", "RHC", "a redundant bound"),
-    ("crawler", "RHC", "a price that never counts"),
-    ("tracks", "RHC in a lane", "a price that never counts"),
-}
-
-
-def marked(row):
-    return pytest.param(row, marks=pytest.mark.xfail(strict=True)) if row in OPEN else row
-
-
 @pytest.mark.nightly
-@pytest.mark.parametrize("row", [*map(marked, TABLE)], ids=" ".join)
+@pytest.mark.parametrize("row", TABLE, ids=" ".join)
 def test_estimates_and_commands_of_any_robot_follow(row):
     assert_follows(*row)
 

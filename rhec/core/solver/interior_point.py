@@ -123,8 +123,8 @@ class Shape(NamedTuple):
 
     @property
     def policy(self):
-        """Shapes of the feedback K of a stage's input, and of the inverse of its Hessian."""
-        return dict(K=(self.m, self.n), inverse=(self.m, self.m))
+        """Shapes of the feedback K of a stage's input, and of `_inverse_root` of its Hessian."""
+        return dict(K=(self.m, self.n), root=ca.Sparsity.lower(self.m))
 
     def of_all_nodes(self, shapes):
         """Shapes of matrices of the nodes side by side."""
@@ -238,6 +238,17 @@ def _widest(shape, b):
     return ca.if_else(own > _TINY, own, other) + _TINY
 
 
+def _band(shape, there, b):
+    """How far the bounds of each hard row are apart, where they are nearest: no distance is more.
+
+    If both distances began far beyond that, their multipliers would grow against each other.
+    """
+    places = [0, shape.n_hard // 2, shape.n_hard, 2 * shape.n_rows]
+    upper, lower, _ = ca.vertsplit(ca.if_else(there, b, _NO_BOUND), places)
+    least = -_largest(-(upper + lower))
+    return ca.vertcat(least, least, _NO_BOUND * ca.DM.ones(*shape.soft))
+
+
 def _build_start(shape):
     """The first point: z = 0, with λ s = γ t, and what stays the same: prices, δ, scales.
 
@@ -258,7 +269,8 @@ def _build_start(shape):
         scale = cost + ca.dot(stiffness, ca.sum2(ca.fmin(b, 0) ** 2)) / 2 + _hidden(stages) + _TINY
         # A bound that rounding alone keeps away, such as at rest on it, has no scale of its own.
         free_way = ca.sqrt(scale * compliance)
-        widest = ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way)
+        band = _band(shape, there, b)
+        widest = ca.fmin(ca.fmax(_widest(shape, b), _LEAST_SCALE * free_way), band)
         own = _OWN_PRICE * ca.sqrt(scale * stiffness[shape.n_hard :])
         own *= 10 ** -given["relief"]
         own += _pushed(shape, given, b, compliance, stiffness)
@@ -268,8 +280,11 @@ def _build_start(shape):
         soft = there[shape.n_hard :, :]
         exceeded = soft * ca.fmax(-b[shape.n_hard :, :], 0)
         first = scale + ca.dot(linear, exceeded) + ca.dot(quadratic, exceeded**2) / 2
-        # A multiplier grows up to its price or the own one, and δ has to be small beside that, too.
-        highest = ca.vertcat(ca.DM.zeros(shape.n_hard), ca.fmin(price["linear"], own))
+        # A multiplier grows up to its price or the own one, that of a hard row as these push it, and
+        # δ has to be small beside that, too.
+        highest = ca.fmin(price["linear"], own)
+        push = ca.sum1(highest * ca.sqrt(compliance[shape.n_hard :]))
+        highest = ca.vertcat(push * ca.sqrt(stiffness[: shape.n_hard]), highest)
         steepness = highest / (widest + free_way)
         delta = _PROXIMAL / (stiffness + 1e-3 * first / widest**2 + steepness)
         nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
@@ -277,7 +292,8 @@ def _build_start(shape):
         # If a price is high, λ s = γ t needs a small t, but not where the bound is exceeded.
         t = ca.fmax(first / (linear + quadratic * near + first / near), exceeded)
         gam = ca.fmax(first / t, linear + quadratic * t)
-        s = ca.if_else(there, ca.fmax(b + _of_all_sides(shape, t), nearest), 1)
+        s = ca.fmax(b + _of_all_sides(shape, t), nearest)
+        s = ca.if_else(there, ca.fmin(s, ca.repmat(band, 1, shape.N + 1)), 1)
         point = dict(z=ca.DM.zeros(shape.n + shape.m, shape.N + 1), s=s, lam=there * first / s)
         point |= dict(t=ca.if_else(soft, t, 1), gam=ca.if_else(soft, gam, 1))
         constant = price | dict(delta=delta, widest=widest)
@@ -357,16 +373,26 @@ def _build_factor(shape):
         PB = P @ B
         M_uu = symmetric(M[n:, n:] + B.T @ PB)
         M_ux = M[n:, :n] + PB.T @ A
-        if shape.m == 1:
-            inverse = 1 / M_uu
-        else:
-            factors = ca.ldl(ca.densify(M_uu), False)
-            inverse = symmetric(ca.ldl_solve(ca.SX.eye(shape.m), *factors))
-        K = -inverse @ M_ux
+        root = _inverse_root(M_uu)
+        K = -root.T @ (root @ M_ux)
         P_before = symmetric(M[:n, :n] + A.T @ P @ A + M_ux.T @ K)
-        return dict(P_before=P_before, K=K, inverse=inverse)
+        return dict(P_before=P_before, K=K, root=root)
 
     return factor
+
+
+def _inverse_root(M):
+    """The lower triangle L⁻¹ of M = L L', whose products solve M y = b by y = L⁻' (L⁻¹ b).
+
+    Of M⁻¹ itself rounding would leave little where w is high: M is steep then in one direction, and
+    all others follow from differences of its entries.
+    """
+    D, above, _ = ca.ldl(ca.densify(M), False)
+    rows = []
+    for i in range(M.size1()):
+        unit = ca.SX.eye(M.size1())[i, :]
+        rows.append(unit - sum(above[j, i] * row for j, row in enumerate(rows)))
+    return ca.diag(1 / ca.sqrt(D)) @ ca.vertcat(*rows)
 
 
 def _build_vector(shape):
@@ -380,7 +406,7 @@ def _build_vector(shape):
     @casadi_function("qp_vector")
     def vector(p: (n, 1), cost: (1, 1), g: g_i, D: D_i, B: B_i, policy: shape.policy):
         g_u = g[n:] + B.T @ p
-        k = -policy["inverse"] @ g_u
+        k = -policy["root"].T @ (policy["root"] @ g_u)
         p_before = g[:n] + (shape.A_0 + D).T @ p + policy["K"].T @ g_u
         return dict(p_before=p_before, k=k, cost_before=cost - ca.dot(g_u, k) / 2)
 
@@ -414,7 +440,7 @@ def _build_compliance(shape):
         W: (n, n), most: shape.side, D: D_i, B: B_i, E: E_i, b: b_i, policy: shape.policy
     ):
         KW = policy["K"] @ W
-        of_inputs = KW @ policy["K"].T + policy["inverse"]
+        of_inputs = KW @ policy["K"].T + policy["root"].T @ policy["root"]
         C = ca.vertcat(ca.horzcat(W, KW.T), ca.horzcat(KW, of_inputs))
         moves = ca.horzcat(shape.A_0 + D, B)
         there, _ = _bounded(b)
@@ -516,13 +542,13 @@ def _build_measure(shape):
     """
     n = shape.n
     stage = shape.stage
-    _, inverse_i = shape.policy.values()
+    _, root_i = shape.policy.values()
     one = (1, 1)
 
     @casadi_function("qp_measure")
     def measure(
         a: (n, 1), error: one, gain: one, stage: stage,
-        price: shape.price, point: shape.point, inverse: inverse_i,
+        price: shape.price, point: shape.point, root: root_i,
     ):  # fmt: skip
         nothing = {name: ca.DM.zeros(*each) for name, each in shape.aim.items()}
         r_s = _newton(shape, stage["E"], stage["b"], price, point, nothing).r_s
@@ -532,7 +558,7 @@ def _build_measure(shape):
         return dict(
             a_before=gradient[:n] + (shape.A_0 + stage["D"]).T @ a,
             error_before=functools.reduce(ca.fmax, errors, error),
-            gain_before=gain + ca.fabs(ca.bilin(inverse, r, r)) / 2,
+            gain_before=gain + ca.sumsqr(root @ r) / 2,
         )
 
     return measure
@@ -621,9 +647,9 @@ def _build_measured(shape):
     def measured(stages, values, price, policies):
         carried = [ca.DM.zeros(shape.n), 0, 0]
         nodes = zip(stages, shape.by_node(shape.point, values), policies)
-        for stage, point, (_, inverse) in reversed(list(nodes)):
+        for stage, point, (_, root) in reversed(list(nodes)):
             given = list(select_inputs(measure, stage | price | point).values())
-            carried = measure(*carried, *given, inverse)
+            carried = measure(*carried, *given, root)
         return carried[1:]
 
     return measured
