@@ -2,7 +2,7 @@
 
 `phases` selects the CasADi Functions that become C; `c_writer` writes the generated files;
 `recorded` takes the estimator that was judged on a log. The folder `c` contains the files that are
-the same in all exports: the interface rhec.h and rhec.c, the program replay.c of Scenarios and logs,
+the same in all exports: the interface rhec.h and rhec.c, replay.c of a Scenario and of a log,
 times.c and fuzz.c of a Scenario, and search.h, search.c of a log.
 `notebooks/studies/exported_c.py` measures an export on this machine and, emulated, on 64-bit Arm.
 """
