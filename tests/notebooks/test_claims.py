@@ -29,6 +29,7 @@ from notebooks.studies.statistics import (
     Finding,
 )
 from rhec import paper
+from rhec.simulation import closed_loop
 from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
@@ -914,6 +915,21 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     expected = dict(error_one_m=0.01, error_many_m=0.1, one_us=1.0, many_us=10.0)
     expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=3e-4)
     assert found == pytest.approx(expected)
+
+
+def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
+    """Its first, where the previous estimate is the newest one; a warm one may be converged."""
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
+    *_, problems, commands = experiments.live(scenario, 20)
+    guess = np.array(closed_loop.set_up(scenario).guess)
+    problems = [(guess[:3], guess[3:], *problems[0][2:]), *problems[10:]]
+    commands = [rhec.RHC().solve(*problems[0]), *commands[10:]]
+    first = [rhec.RHC().feedback(*problem) for problem in problems]
+    twice = [each for each in problems for _ in range(2)]
+    warm, cold = experiments._distances_from_converged(scenario, twice, np.repeat(commands, 2))
+    np.testing.assert_allclose(warm, 0, atol=1e-9)
+    np.testing.assert_allclose(cold[1::2], np.subtract(first, commands), atol=1e-12)
+    assert cold[0] == pytest.approx(cold[1], abs=1e-12) and np.abs(cold).max() > 1e-3
 
 
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
