@@ -271,6 +271,17 @@ def test_one_verdict_from_two_process_noises(printed, prediction, expected):
     assert (may == HOLDS) == (HOLDS in verdicts.values() or expected[0] == HOLDS)
 
 
+def test_a_verdict_names_the_first_condition_under_which_a_claim_holds():
+    """Wherever it holds, with the word that says that it departs from the paper."""
+    names = "as printed", "W by prediction", "W by tracking"
+    for first in (0, 1):
+        verdicts = [HOLDS if place in (first, 2) else FAILS for place in range(3)]
+        found = {name: Finding(1.0, 0.0, 2.0, 9, each) for name, each in zip(names, verdicts)}
+        departs = "with " if first else ""
+        expected = f"{HOLDS} {departs}{names[first]}", names[first]
+        assert statistics.combined(found) == expected
+
+
 # The ledger itself
 
 
