@@ -250,7 +250,7 @@ def _iterations(process_noise, seed, many=10):
     row = dict(error_one_m=one_m[settled].mean(), error_many_m=many_m[settled].mean())
     row |= dict(one_us=1e6 * np.median(one_s), many_us=1e6 * np.median(many_s))
     row |= dict(rms_warm=rms(warm[settled]), rms_cold=rms(cold[settled]))
-    return row | dict(max_warm=np.abs(warm).max())
+    return row | dict(max_warm=np.abs(warm[settled]).max())
 
 
 def lowest_traction(process_noise, most=400):

@@ -2,8 +2,8 @@
 
 `phases` selects the CasADi Functions that become C; `c_writer` writes the generated files;
 `recorded` takes the estimator that was judged on a log. The folder `c` contains the files that are
-the same in all exports: the interface rhec.h and rhec.c, the programs replay.c, times.c, fuzz.c of
-a Scenario, and search.h, search.c, replay_log.c of a log.
+the same in all exports: the interface rhec.h and rhec.c, replay.c of a Scenario and of a log,
+times.c and fuzz.c of a Scenario, and search.h, search.c of a log.
 `notebooks/studies/exported_c.py` measures an export on this machine and, emulated, on 64-bit Arm.
 """
 
@@ -39,7 +39,7 @@ _PLAIN = "SXFunction", "MXFunction", "Switch", "Map", "MapSum"  # Functions with
 _TRUTHS = dict(traction="true traction", yaw_drift="true yaw drift", truth="truth")
 _EXPORTED_VALUES = dict(controller="rhc", traction_timing="feedback")
 _OF_SCENARIO = "replay.c", "times.c", "fuzz.c"  # the last two need its controller
-_OF_LOG = "search.h", "search.c", "replay_log.c"
+_OF_LOG = "search.h", "search.c", "replay.c"
 _MARK = "rhec_memory.h"  # a folder that holds it is an export
 
 

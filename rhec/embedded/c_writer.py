@@ -92,11 +92,11 @@ _README_OF_A_LOG = dict(
     files="""\
     search.h, search.c              the same for an unknown first yaw, as it was judged
     scenario.json                   all parameters of the estimator
-    replay_log.c, log.csv           example: replays a log, here {samples} samples of the log that
+    replay.c, log.csv               example: replays a log, here {samples} samples of the log that
                                     was judged, with Python's results
 """,
     more="""\
-Results agree with Python's to 1e-9 on x86-64; `replay_log log.csv` checks this on your machine. The
+Results agree with Python's to 1e-9 on x86-64; `replay log.csv` checks this on your machine. The
 noise, the guess of the antenna's place and all else are those that were judged. A robot that does
 not know its first yaw calls rhec_search_init once and rhec_search_estimate each sample (search.h):
 RHEC_HEADINGS times the memory and the time, until the yaw is found. One that knows it puts x, y and

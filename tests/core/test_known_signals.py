@@ -196,7 +196,38 @@ def test_a_missing_signal_is_the_last_one():
         np.testing.assert_array_equal(one, held.step((1.0, 0.0), known=given))
 
 
-def pushed(discrete=False):
+REFUSED = [  # a first signal that fits, and something that does not
+    dict(push=9.0, direction="left"),
+    dict(push=9.0, pull=1.0),
+    dict(direction=9.0, push=(1.0, 2.0)),
+]
+
+
+@pytest.mark.parametrize("refused", REFUSED)
+def test_a_refused_call_keeps_none_of_its_signals(refused):
+    """Whoever catches the error goes on as if it had not been made."""
+    z, known = drive(np.random.default_rng(7), 8)
+    for make in (
+        lambda: rhec.EKF(model=cart(), dt=DT, **NOISE),
+        lambda: rhec.RHE(model=cart(), dt=DT, horizon=3, **NOISE),
+    ):
+        one, other = make(), make()
+        for k, (row, signals) in enumerate(zip(z, known)):
+            given = None if k == 4 else by_name(signals)
+            with pytest.raises(ValueError, match="^known"):
+                other.step(row, known=refused)
+            np.testing.assert_array_equal(
+                one.step(row, known=given).x, other.step(row, known=given).x
+            )
+    one, other = pushed_rhc(), pushed_rhc()
+    first = dict(push=0.1)
+    np.testing.assert_array_equal(*(each.step((1.0, 0.0), known=first) for each in (one, other)))
+    with pytest.raises(ValueError, match="^known had 'pull'"):
+        other.step((1.0, 0.0), known=dict(push=9.0, pull=1.0))
+    np.testing.assert_array_equal(one.step((1.0, 0.0)), other.step((1.0, 0.0)))
+
+
+def pushed():
     """A cart with a force that is commanded, and one that is known."""
     return rhec.Model(
         states=("x_m", "v_mps"),

@@ -132,20 +132,6 @@ def test_a_rejected_yaw_rate_is_no_reference_as_a_missing_one_is_none(robot, mea
     np.testing.assert_allclose(commands[0], commands[1], rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.nightly
-def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
-    machine, objects = built("paper")
-    log = log_of(exported("paper"))
-    log.loc[50, "kappa_hat"] += 1e-8
-    log.to_csv(tmp_path / "log.csv", index=False)
-    program = toolchain.program(machine, exported("paper"), "replay", objects)
-    finished = toolchain.run(machine, program, tmp_path / "log.csv")
-    assert finished.returncode == 1
-    assert "largest difference in 100 samples: 1e-08" in finished.stderr
-    finished = toolchain.run(machine, program, tmp_path / "nowhere.csv")
-    assert finished.returncode == 2 and "nowhere.csv, which cannot be read" in finished.stderr
-
-
 def test_the_closest_point_equals_path_project():
     rng = np.random.default_rng(2)
     for target in (

@@ -16,16 +16,38 @@ from rhec.logs.replay import replay_of
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM
 
 
-def compiled_replay(folder, program="replay_log", sources=("search.c",)):
+def compiled_replay(folder, *sources):
     """The program of an export, compiled with warnings as errors."""
     machine = toolchain.this_machine()
     if machine is None:
         pytest.skip("there is no C compiler")
     flags = "-std=c99 -O1 -ffp-contract=off -Wall -Wextra -Wpedantic -Werror".split()
-    names = ["rhec.c", "rhec_scenario.c", *sources, f"{program}.c"]
-    command = [machine.compiler, *flags, *names, "-lm", "-o", program]
+    names = ["rhec.c", "rhec_scenario.c", *sources, "replay.c"]
+    command = [machine.compiler, *flags, *names, "-lm", "-o", "replay"]
     subprocess.run(command, cwd=folder, check=True)
-    return folder / program
+    return folder / "replay"
+
+
+def assert_replay_compares(program, example, folder):
+    """The program agrees with an example as it is, and finds each answer that is changed."""
+    last = example.columns[-1]
+    for column, change, code, largest in (
+        (last, 0.0, 0, None),
+        (last, 1e-8, 1, 1e-8),
+        ("kappa_hat", -1e-8, 1, 1e-8),
+        ("x_hat_m", np.nan, 1, np.nan),
+    ):
+        changed = example.copy()
+        changed.loc[len(example) // 2, column] += change
+        changed.to_csv(folder / "log.csv", index=False)
+        ended = subprocess.run([program, folder / "log.csv"], capture_output=True, text=True)
+        compared, difference = ended.stderr.strip().split(": ")
+        assert compared == f"largest difference in {len(example)} samples"
+        assert ended.returncode == code and len(ended.stdout.splitlines()) >= len(example)
+        if code:
+            assert float(difference) == pytest.approx(largest, rel=0.1, nan_ok=True)
+    ended = subprocess.run([program, "nowhere.csv"], capture_output=True, text=True)
+    assert ended.returncode == 2 and "nowhere.csv, which cannot be read" in ended.stderr
 
 
 def late_log():
@@ -43,12 +65,9 @@ def summary():
 
 def test_the_c_of_a_log_is_what_was_judged(summary, tmp_path):
     folder = rhec.export(summary, tmp_path / "C")
-    ended = subprocess.run(
-        [compiled_replay(folder), folder / "log.csv"], capture_output=True, text=True
-    )
-    assert ended.returncode == 0, ended.stderr[-200:]
     example = pd.read_csv(folder / "log.csv")
-    assert f"in {len(example)} samples" in ended.stderr and len(example) > 250
+    assert len(example) > 250
+    assert_replay_compares(compiled_replay(folder, "search.c"), example, tmp_path)
     # It is the run that was judged, with its standard deviations, from its first position on.
     way = summary.way.dropna(subset=ESTIMATE[0])[-100:]
     hats = [*ESTIMATE, *LEVER_ARM]
@@ -84,9 +103,9 @@ def test_operations_are_counted_through_all_calls(summary):
 def test_an_estimator_alone_has_no_controller(tmp_path):
     scenario = rhec.Scenario(duration_s=10)
     folder = rhec.export(scenario, tmp_path / "C", estimator_only=True)
-    replay = compiled_replay(folder, "replay", ())
-    ended = subprocess.run([replay, folder / "log.csv"], capture_output=True, text=True)
-    assert ended.returncode == 0 and "in 50 samples" in ended.stderr
+    example = pd.read_csv(folder / "log.csv")
+    assert len(example) == 50
+    assert_replay_compares(compiled_replay(folder), example, tmp_path)
     header = (folder / "rhec_memory.h").read_text()
     assert "#define RHEC_CONTROLLER" not in header
     assert "rhec_control" not in (folder / "README.txt").read_text()

@@ -76,6 +76,20 @@ def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
     assert (log["v_right_mps"] == 1.0).all()
 
 
+def test_of_two_topics_of_a_type_the_first_has_the_positions_and_the_last_the_speeds(tmp_path):
+    of_topic = {"/receiver": (1.0, 2.0, 3.0, 4.0), "/wheels": (5.0, 6.0, 7.0, 8.0)}
+    messages = [
+        (topic, ODOMETRY, at(row), odometry(*numbers))
+        for row in range(N)
+        for topic, numbers in of_topic.items()
+    ]
+    file = write_bag(tmp_path, "mcap", messages)
+    for first, last in (("/receiver", "/wheels"), ("/wheels", "/receiver")):
+        log = rhec.logs.read(file, topics=(first, last))
+        found = log[["x_m", "y_m", "speed_mps", "yaw_rate_radps"]].iloc[0]
+        assert tuple(found) == (*of_topic[first][:2], *of_topic[last][2:])
+
+
 def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
     messages = [each for each in driven() if each[0] == "/drive"]
     file = write_bag(tmp_path, "mcap", messages)

@@ -29,6 +29,7 @@ from notebooks.studies.statistics import (
     Finding,
 )
 from rhec import paper
+from rhec.simulation import closed_loop
 from rhec.tracked_robot import tuning
 
 RNG = np.random.default_rng(0)
@@ -268,6 +269,17 @@ def test_one_verdict_from_two_process_noises(printed, prediction, expected):
     assert statistics.combined(found) == expected
     may = ledger.CLAIMS["M7"].rule.combined(found)[0]
     assert (may == HOLDS) == (HOLDS in verdicts.values() or expected[0] == HOLDS)
+
+
+def test_a_verdict_names_the_first_condition_under_which_a_claim_holds():
+    """Wherever it holds, with the word that says that it departs from the paper."""
+    names = "as printed", "W by prediction", "W by tracking"
+    for first in (0, 1):
+        verdicts = [HOLDS if place in (first, 2) else FAILS for place in range(3)]
+        found = {name: Finding(1.0, 0.0, 2.0, 9, each) for name, each in zip(names, verdicts)}
+        departs = "with " if first else ""
+        expected = f"{HOLDS} {departs}{names[first]}", names[first]
+        assert statistics.combined(found) == expected
 
 
 # The ledger itself
@@ -912,8 +924,23 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     monkeypatch.setattr(experiments, "_distances_from_converged", lambda scenario: apart)
     found = experiments._iterations("prediction", 0)
     expected = dict(error_one_m=0.01, error_many_m=0.1, one_us=1.0, many_us=10.0)
-    expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=9.0)  # the last, of the whole drive
+    expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=3e-4)
     assert found == pytest.approx(expected)
+
+
+def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
+    """Its first, where the previous estimate is the newest one; a warm one may be converged."""
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
+    *_, problems, commands = experiments.live(scenario, 20)
+    guess = np.array(closed_loop.set_up(scenario).guess)
+    problems = [(guess[:3], guess[3:], *problems[0][2:]), *problems[10:]]
+    commands = [rhec.RHC().solve(*problems[0]), *commands[10:]]
+    first = [rhec.RHC().feedback(*problem) for problem in problems]
+    twice = [each for each in problems for _ in range(2)]
+    warm, cold = experiments._distances_from_converged(scenario, twice, np.repeat(commands, 2))
+    np.testing.assert_allclose(warm, 0, atol=1e-9)
+    np.testing.assert_allclose(cold[1::2], np.subtract(first, commands), atol=1e-12)
+    assert cold[0] == pytest.approx(cold[1], abs=1e-12) and np.abs(cold).max() > 1e-3
 
 
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):

@@ -53,4 +53,4 @@ def test_intervals_that_are_not_known_hold_nothing_and_miss_nothing():
         rows = rows.assign(**{f"{name}_{end}": values for end, values in ends.items()})
     found = verdicts.coverage(rows)
     assert found.loc[0, ["μ", "κ", "drift"]].tolist() == [0.5] * 3
-    assert found.loc[0, "yaw smoothed"] == 0.5
+    assert found.loc[0, ["yaw on the way", "yaw smoothed"]].tolist() == [1.0, 0.5]

@@ -10,6 +10,8 @@ from rhec.core._casadi.validation import numbers, refuse
 def take_known(names, given, held):
     """Copy known signals into an array; what is not given, or is not finite, stays as it was.
 
+    Where something is refused, all stays as it was.
+
     Args:
         names: Of the Model's known signals.
         given: {name: number, or (n,) numbers}; None: nothing is given.
@@ -20,16 +22,18 @@ def take_known(names, given, held):
     """
     if given is not None and not isinstance(given, Mapping):
         refuse("known was", given, f"it should be a dict with numbers for {names}")
+    taken = held.copy()
     for name, value in (given or {}).items():
         if name not in names:
             refuse("known had", name, f"the Model has the known signals {names}")
-        row = held[names.index(name)]
+        row = taken[names.index(name)]
         value = numbers(f"known[{name!r}]", value)
         if value.shape not in ((), row.shape):
             several = f" or {len(row)} numbers" if len(row) > 1 else ""
             expected = f"it should be a number{several}"
             raise ValueError(f"known[{name!r}] had shape {value.shape}; {expected}")
         np.copyto(row, value, where=np.isfinite(value))
-    for name, row in zip(names, held):
+    for name, row in zip(names, taken):
         if np.isnan(row).any():
             raise ValueError(f"known had no {name!r}; the first sample needs a number for it")
+    held[:] = taken
