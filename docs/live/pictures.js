@@ -28,9 +28,10 @@ function pose_of(loop, k) {
   return ["x_m", "y_m", "theta_rad"].map(name => loop.get(name)(k));
 }
 
-// Draw the runs that the reader has not hidden.
+// Draw the runs that the reader has not hidden, the first one on top.
 function each_shown(draw_run) {
-  page.loops.forEach((loop, i) => page.hidden.has(page.runs[i].name) || draw_run(loop, i));
+  for (const [i, loop] of [...page.loops.entries()].reverse())
+    if (!page.hidden.has(page.runs[i].name)) draw_run(loop, i);
 }
 
 function draw_map(now) {

@@ -53,7 +53,7 @@ function draw_drive(step, i, now) {
   const { soil, loop } = step;
   const { lowest, highest } = soil.field;
   const plot = new Plot(step.canvases[i], [lowest[0] - 2, highest[0] + 2],
-    [lowest[1] - 3, highest[1] + 2], { equal: true });
+    [lowest[1] - 7, highest[1] + 2], { equal: true }); // below: where dead reckoning goes
   draw_soil(plot, soil);
   plot.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--run0", { width: 2 });
   plot.dots(...spread([pose_of(loop, now)]), "--run0", { radius: 6 });

@@ -180,13 +180,14 @@ def _link_cards(readme):
     text = readme.read_text(encoding="utf-8")
 
     def link(part):
-        kind = quote(kind_of(part[1]))
-        return f'<a href="claims.html?verdict={kind}">{_coloured(part[1])}{part[2]}</a>'
+        verdict = " ".join(part[1].split())  # a line may end in it
+        kind = quote(kind_of(verdict))
+        return f'<a href="claims.html?verdict={kind}">{_coloured(verdict)}{part[2]}</a>'
 
     def cell(part):
         return f"| {_coloured(part[1])}"
 
-    text = re.sub(rf"\[([^\[\]]*?)(: \d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
+    text = re.sub(rf"\[([^\[\]]*?)(:\s\d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
     words = "|".join(sorted(answer.VERDICTS, key=len, reverse=True))
     text = re.sub(rf"\| ({words})(?=:| \|)", cell, text)
     readme.write_text(text, encoding="utf-8")

@@ -6,6 +6,7 @@ Each block stands between `<!-- results NAME -->` and `<!-- end -->`.
 """
 
 import re
+import textwrap
 from pathlib import Path
 
 import pandas as pd
@@ -71,12 +72,24 @@ BLOCKS = {
     "take": lambda: unknowns.in_short(_unknowns()[0], _unknowns()[-1]),
     **{f"recorded_{name}": block for name, block in recorded.BLOCKS.items()},
 } | benchmark.BLOCKS
+_COLUMNS = 100
 _BLOCK = re.compile(r"(<!-- results (\w+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 def rewrite(text):
     """A page with these results as they are now."""
-    return _BLOCK.sub(lambda block: f"{block[1]}{BLOCKS[block[2]]()}\n", text)
+    return _BLOCK.sub(lambda block: f"{block[1]}{_wrapped(BLOCKS[block[2]]())}\n", text)
+
+
+def _wrapped(text):
+    """Markdown whose lines have at most 100 columns, but for rows of tables."""
+    look = dict(width=_COLUMNS, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(
+        line
+        if line.startswith("|")
+        else textwrap.fill(line, **look, subsequent_indent="  " * line.startswith("- "))
+        for line in text.splitlines()
+    )
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import math
 import re
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +51,7 @@ _NO_WIDGETS = (
     "Controls and pictures need the widgets of Jupyter, which this page does not show. "
     "The method figure() of the explorer draws the picture."
 )
+_DRIVERS = ThreadPoolExecutor(2)  # one for each of the two runs
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -310,7 +312,9 @@ class Explorer(widgets.VBox):
         early.begin(closed_loop.build_sample, missing)
         if self.runs:  # who moves one control moves it on: a first view alone is not worth it
             early.optimise(closed_loop.build_sample, structures)
-        self.runs = tuple(map(closed_loop.simulate_setup, scenarios, setups))
+        # CasADi makes Functions in one thread alone; it evaluates them in several at a time.
+        functions = [early.load(closed_loop.build_sample, *each.structure) for each in setups]
+        self.runs = tuple(_DRIVERS.map(closed_loop.simulate_loaded, functions, scenarios, setups))
         ran = time.perf_counter()
         self._draw()
         runs = f"{len(self.runs)} runs" if len(self.runs) > 1 else "1 run"

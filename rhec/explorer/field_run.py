@@ -25,8 +25,8 @@ _SERIES = (
     ("kappa", "t_s", "kappa", "truth", ""),
     ("kappa", "t_s", "kappa_hat", "bold", ""),
     ("yaw_rate", "t_s", "omega_cmd_radps", "bold", ""),
-    ("kkt", "t_s", "kkt_rhe", "bold", ""),
     ("kkt", "t_s", "kkt_rhc", "second", "RHC"),
+    ("kkt", "t_s", "kkt_rhe", "bold", ""),
 )
 _KKT_SAMPLES = 25  # of the running median: from sample to sample it jumps by powers of ten
 _LOOKS = {

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rhec.style import BLACK, BLUE, DOUBLE_IN, SOIL, styled
+from rhec.style import BLACK, BLUE, COLOURS, DOUBLE_IN, SOIL, styled
 
 _PX = 4 / 3  # one point [px]
 # CSS variables that adapt to dark pages.
-_PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue"}
+_PAGE_COLOURS = {BLACK: "--ink", BLUE: "--blue", COLOURS["tolerance"]: "--tolerance"}
 
 
 class Mark(NamedTuple):

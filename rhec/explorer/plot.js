@@ -48,7 +48,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
   path(n, x, y, first = 0) { // NaN leaves a gap
     this.c.beginPath();
     for (let k = first, pen = false; k < n; k++) {
-      const [across, down] = [this.x(x(k)), this.y(y(k))], there = isFinite(across + down);
+      const across = this.x(x(k)), down = this.y(y(k)), there = isFinite(across + down);
       if (there) pen ? this.c.lineTo(across, down) : this.c.moveTo(across, down);
       pen = there;
     }
@@ -70,9 +70,12 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
   }
   // Brown where it slips, a dot a cell. The root shows small differences on firm soil, too.
   soil([wide, high], [x, y], cell_m, traction) {
-    const wet = this.colour("--wet").split(",").map(Number), image = new ImageData(wide, high);
-    for (let j = high - 1, at = 0; j >= 0; j--) for (let i = 0; i < wide; i++, at += 4)
-      image.data.set(wet, at), image.data[at + 3] = 280 * Math.sqrt(1 - traction(i, j));
+    const [red, green, blue] = this.colour("--wet").split(",").map(Number);
+    const image = new ImageData(wide, high), { data } = image;
+    for (let j = high - 1, at = 0; j >= 0; j--) for (let i = 0; i < wide; i++, at += 4) {
+      data[at] = red, data[at + 1] = green, data[at + 2] = blue;
+      data[at + 3] = 280 * Math.sqrt(1 - traction(i, j));
+    }
     const picture = new OffscreenCanvas(wide, high);
     picture.getContext("2d").putImageData(image, 0, 0);
     const [left, right] = [-0.5, wide - 0.5].map(i => this.x(x + i * cell_m));

@@ -126,7 +126,11 @@ def noise_and_faults(seed, scheduled, samples, draws=(robot.draw_noise,)):
 
 def simulate_setup(scenario, setup):
     """The Run of a scenario that is set up."""
-    functions = early.load(build_sample, *setup.structure)
+    return simulate_loaded(early.load(build_sample, *setup.structure), scenario, setup)
+
+
+def simulate_loaded(functions, scenario, setup):
+    """The Run of a scenario whose loop is loaded; such runs may share their time in threads."""
     samples = round(scenario.duration_s / paper.DT_S)
     stream = noise_and_faults(scenario.seed, scenario.faults, samples, setup.draws)
     rows = runner.run_one(functions, setup.memory, stream, setup.settings)

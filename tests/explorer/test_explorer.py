@@ -297,21 +297,21 @@ def test_callbacks_in_two_threads_do_not_overlap(made, monkeypatch):
 
 
 def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys):
-    def broken(scenario, world):
+    def broken(*loaded):
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr(explorer.closed_loop, "simulate_setup", broken)
+    monkeypatch.setattr(explorer.closed_loop, "simulate_loaded", broken)
     made.inputs["r"].value = 20.0
     assert "ZeroDivisionError: of all things" in made.screen.status
     assert capsys.readouterr() == ("", "")
 
 
 def test_an_interrupted_run_says_that_the_picture_is_older_than_the_settings(made, monkeypatch):
-    def interrupted(scenario, world):
+    def interrupted(*loaded):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(explorer.closed_loop, "simulate_setup", interrupted)
+        patch.setattr(explorer.closed_loop, "simulate_loaded", interrupted)
         made.inputs["r"].value = 20.0
     assert made.screen.status == "interrupted: the picture is of the settings before"
     assert made.runs[0].scenario.r != 20.0
