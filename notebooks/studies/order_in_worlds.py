@@ -28,7 +28,6 @@ NOISES = DATA / "posterior_noises.csv"
 ORDER_DRIVES = DATA / "order_drives.parquet"
 EFFECTS = DATA / "order_effects.csv"
 UNLISTED = DATA / "order_unlisted.csv"
-TABLE = DATA / "results" / "inverse_rules.csv"
 
 ESTIMATORS = ("rhe", "ekf")
 PREDICTION_OF_DEFAULT = "prediction, as in the default world"
@@ -242,52 +241,6 @@ def order_drives():
 def effective_worlds():
     """How many of the posterior's worlds are effectively different."""
     return which_worlds.effective_number(which_worlds.posterior_table()["world"])
-
-
-# For readers
-
-
-def share_table(file=TABLE):
-    """In which share of the worlds in which the paper's numbers are possible the RHE is the better.
-
-    Args:
-        file: Table of `rule_rows`.
-
-    Returns:
-        DataFrame of texts, one row a rule: the share with its 95 % interval, over the worlds' own
-        drives, and on each of PATTERNS; the median of EKF / RHE; the median errors.
-    """
-    rows = {}
-    for rule, of_rule in pd.read_csv(file).groupby("rule for W", sort=False):
-        by_turns = of_rule.set_index("turns")
-        own = by_turns.loc[OWN]
-        interval = f"[{own['low']:.2f}, {own['high']:.2f}]"
-        row = {"the RHE is better in": f"{own['RHE better']:.2f} {interval} of the worlds"}
-        row["EKF / RHE, median"] = f"{own['EKF / RHE']:.2f}"
-        row["RHE, EKF, median [m]"] = f"{own['RHE [m]']:.4f}, {own['EKF [m]']:.4f}"
-        for turns in PATTERNS:
-            row[turns.replace("_", " ")] = f"{by_turns.loc[turns, 'RHE better']:.2f}"
-        rows[rule] = row
-    return pd.DataFrame(rows).T.rename_axis("W by")
-
-
-def in_words(file=TABLE):
-    """`share_table` as one sentence, of the rules with which both estimators drive.
-
-    Args:
-        file: Table of `rule_rows`.
-    """
-    table = pd.read_csv(file)
-    own = table[table["turns"] == OWN].set_index("rule for W")
-    parts = [
-        f"{100 * own.loc[rule, 'RHE better']:.0f} "
-        f"[{100 * own.loc[rule, 'low']:.0f}, {100 * own.loc[rule, 'high']:.0f}] % ({rule})"
-        for rule in ("consistent", "prediction", "tracking")
-    ]
-    return (
-        "Of the worlds in which the paper's numbers are possible, the RHE is the better in "
-        f"{parts[0]}, {parts[1]} and {parts[2]}."
-    )
 
 
 # Which unknowns decide

@@ -146,6 +146,15 @@ def test_replay_detects_a_wrong_answer(exported, built, tmp_path):
     assert finished.returncode == 2 and "nowhere.csv, which cannot be read" in finished.stderr
 
 
+@pytest.mark.nightly
+def test_times_has_a_row_of_four_phases_for_each_sample_after_the_first(exported, built):
+    machine, objects = built("paper")
+    program = toolchain.program(machine, exported("paper"), "times", objects)
+    printed = toolchain.run(machine, program, exported("paper") / "log.csv").stdout
+    taken = np.loadtxt(printed.splitlines(), delimiter=",", skiprows=2)
+    assert taken.shape == (len(log_of(exported("paper"))) - 1, 4) and (taken >= 0).all()
+
+
 def test_the_closest_point_equals_path_project():
     rng = np.random.default_rng(2)
     for target in (

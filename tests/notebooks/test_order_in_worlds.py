@@ -117,18 +117,6 @@ def test_shares_of_worlds_are_counted_by_their_means():
     assert row["low"] < 0.75 < row["high"]
 
 
-def test_the_sentence_has_the_shares_of_the_worlds_own_paths(tmp_path):
-    errors = same_on_all_paths([0.02] * 4, [0.04] * 4)
-    errors |= {("right", "ekf"): [0.01] * 4}
-    file = tmp_path / "table.csv"
-    order_in_worlds.rule_rows(drives_of(errors), 4).to_csv(file, index=False)
-    assert order_in_worlds.in_words(file).count("100 [40, 100] %") == 3
-    table = order_in_worlds.share_table(file)
-    assert [*table.index] == [*order_in_worlds.RULES]
-    assert (table["right"] == "0.00").all() and (table["left"] == "1.00").all()
-    assert (table["figure of eight"] == "1.00").all()
-
-
 def test_total_effects_are_the_known_ones():
     """Oracle: of 3 u + v, u and v uniform, the total effects are 0.9 and 0.1."""
     unit = order_in_worlds.effect_design(64)
