@@ -14,20 +14,18 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from notebooks.studies import order, which_worlds
+from notebooks.studies import which_worlds
 from notebooks.studies.parallel import map_runs, parallel_map
 from notebooks.studies.which_worlds import DATA, UNKNOWNS, UNUSED_SEED, Variant
-from rhec import Fault, paper
+from rhec import paper
 from rhec.simulation.offline import deviances
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.path import Path
 
 NOISES = DATA / "posterior_noises.csv"
 ORDER_DRIVES = DATA / "order_drives.parquet"
 EFFECTS = DATA / "order_effects.csv"
-UNLISTED = DATA / "order_unlisted.csv"
 
 ESTIMATORS = ("rhe", "ekf")
 PREDICTION_OF_DEFAULT = "prediction, as in the default world"
@@ -355,75 +353,15 @@ def _total_effect(values):
     return np.ravel(stats.sobol_indices(func=func, n=values.shape[1]).total_order)
 
 
-# Choices that are in no list
-
-UNLISTED_FIELDS = 50
-
-
-def eased_rows(row_length_m, radius_m, rows=8, steps=6):
-    """Rows to alternate sides whose turns begin and end in steps of curvature: an open Path.
-
-    Of the length of a turn, a quarter at either end leads from 0 to the curvature of the middle.
-    With that of the half circle's mean, the turns still turn by π.
-    """
-    ramp = (np.arange(steps) + 0.5) / steps
-    shares = np.concatenate([ramp, [1.0] * 2 * steps, ramp[::-1]])
-    lengths = np.pi * radius_m / len(shares)
-    curvatures = shares / shares.mean() / radius_m
-    pieces = []
-    for row in range(rows):
-        side = 1 if row % 2 == 0 else -1
-        pieces += [(row_length_m, 0.0), *((float(lengths), float(side * c)) for c in curvatures)]
-    return Path.from_segments(pieces)
-
-
-def unlisted_cases():
-    """{choice: fields of Scenario}, of choices that are neither unknowns nor interpretations.
-
-    A track width that is b' in the robot and b in truth scales κ by b'/b: commands and encoders
-    have b', the ground has b. A radius of the sprockets that is off scales μ and κ alike. Both are
-    exact for the mean; an antenna that is ahead of the middle by a is a centre of rotation at -a.
-    """
-    usual = Scenario()
-    late = {
-        f"positions {delay_s:g} s late": dict(faults=(Fault(kind="latency", delay_s=delay_s),))
-        for delay_s in (0.1, 0.2, 0.4)
-    }
-    traction = {"mu": (usual.mu_mean, usual.mu_deviation)}
-    traction["kappa"] = (usual.kappa_mean, usual.kappa_deviation)
-
-    def scaled(**factors):
-        return {
-            f"{name}_{of}": factor * value
-            for name, factor in factors.items()
-            for of, value in zip(("mean", "deviation"), traction[name])
-        }
-
-    path = eased_rows(usual.row_length_m, usual.headland_radius_m)
-    return (
-        {"as by default": {}}
-        | late
-        | {
-            "tracks 5 % farther apart than believed": scaled(kappa=1 / 1.05),
-            "tracks 3 % nearer than believed": scaled(kappa=1.03),
-            "sprockets 2 % larger than believed": scaled(mu=1.02, kappa=1.02),
-            "sprockets 5 % smaller than believed": scaled(mu=0.95, kappa=0.95),
-            "antenna 0.2 m ahead": dict(rotation_centre_m=-0.2),
-            "antenna 0.2 m behind": dict(rotation_centre_m=0.2),
-            "headlands that begin gently": dict(path=path),
-        }
-    )
-
-
 # Making the files
 
 
 def main():
-    """Fit the noise in each of the posterior's worlds, drive them by each rule, and all else."""
+    """Fit the noise in each of the posterior's worlds, and drive them by each rule."""
     parser = argparse.ArgumentParser(
         "python -m notebooks.studies.order_in_worlds", description=__doc__
     )
-    parts = ("noises", "drives", "effects", "unlisted")
+    parts = ("noises", "drives", "effects")
     parser.add_argument("part", nargs="*", default=parts, help=f"of {parts}; without any, all")
     chosen = parser.parse_args().part
     worlds = which_worlds.posterior_worlds()
@@ -433,9 +371,6 @@ def main():
         which_worlds.write(drive_by_rule(with_noises(worlds, pd.read_csv(NOISES))), ORDER_DRIVES)
     if "effects" in chosen:
         effects(drive_effects()).to_csv(EFFECTS, index=False, float_format="%.4g")
-    if "unlisted" in chosen:
-        unlisted = order.one_variation_at_a_time(UNLISTED_FIELDS, unlisted_cases())
-        unlisted.to_csv(UNLISTED, index=False, float_format="%.5g")
 
 
 if __name__ == "__main__":
