@@ -12,11 +12,10 @@ import argparse
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from notebooks.studies import which_worlds
-from notebooks.studies.parallel import map_runs, parallel_map
-from notebooks.studies.which_worlds import DATA, UNKNOWNS, UNUSED_SEED, Variant
+from notebooks.studies.parallel import parallel_map
+from notebooks.studies.which_worlds import DATA, UNUSED_SEED, Variant
 from rhec import paper
 from rhec.simulation.offline import deviances
 from rhec.simulation.scenario import Scenario
@@ -25,7 +24,6 @@ from rhec.tracked_robot import tuning
 
 NOISES = DATA / "posterior_noises.csv"
 ORDER_DRIVES = DATA / "order_drives.parquet"
-EFFECTS = DATA / "order_effects.csv"
 
 ESTIMATORS = ("rhe", "ekf")
 PREDICTION_OF_DEFAULT = "prediction, as in the default world"
@@ -241,118 +239,6 @@ def effective_worlds():
     return which_worlds.effective_number(which_worlds.posterior_table()["world"])
 
 
-# Which unknowns decide
-
-EFFECT_ROWS = 256  # of each of the two samples, a power of 2
-EFFECT_RULES = ("consistent", "prediction", "tracking")
-_EFFECT_SEED = UNUSED_SEED + 2**21
-_EFFECT_VARIANTS = {f"{e}_{rule}": Variant(e, rule) for rule in EFFECT_RULES for e in ESTIMATORS}
-# A free W says nothing of an order in which W is picked by rule.
-_EFFECT_UNKNOWNS = tuple(name for name in UNKNOWNS if not name.startswith("sigma_"))
-_RESAMPLES = 500
-
-
-def effect_design(rows=EFFECT_ROWS):
-    """Two samples of the prior's worlds, and those in which one unknown is of the other: unit.
-
-    Returns:
-        (2 + d, rows, all unknowns): A, B, and for each of the d unknowns A with that of B.
-    """
-    d = len(_EFFECT_UNKNOWNS)
-    both = stats.qmc.Sobol(2 * d, rng=np.random.default_rng(2)).random(rows)
-    places = [UNKNOWNS.index(name) for name in _EFFECT_UNKNOWNS]
-    unit = np.full((2 + d, rows, len(UNKNOWNS)), 0.5)
-    unit[0][:, places] = both[:, :d]
-    unit[1][:, places] = both[:, d:]
-    for row, place in enumerate(places):
-        unit[2 + row] = unit[0]
-        unit[2 + row][:, place] = unit[1][:, place]
-    return unit
-
-
-def drive_effects(rows=EFFECT_ROWS):
-    """The order in each world of `effect_design`.
-
-    The k-th world of all samples has the k-th field, so that only one unknown differs between two
-    worlds that are compared. Errors above the tolerance count as the tolerance, since lost is lost:
-    two lost robots have no order.
-
-    Returns:
-        {rule: (2 + d, rows) ln(error of the EKF / that of the RHE)}.
-    """
-    unit = effect_design(rows)
-    fields = [
-        which_worlds.fields_of(world)
-        for of_sample in unit
-        for world in which_worlds.worlds_at(of_sample).to_dict("records")
-    ]
-    seeds = np.tile(np.arange(rows), len(unit))
-    drives = [
-        which_worlds.scenario(world, variant, _EFFECT_SEED + int(seed), paired=True)
-        for world, seed in zip(fields, seeds)
-        for variant in _EFFECT_VARIANTS.values()
-    ]
-    errors = np.array(map_runs(_error, drives)).reshape(len(unit), rows, len(_EFFECT_VARIANTS))
-    errors = np.minimum(errors, paper.TOLERANCE_M)
-    by_variant = dict(zip(_EFFECT_VARIANTS, np.moveaxis(errors, -1, 0)))
-    return {
-        rule: np.log(by_variant[f"ekf_{rule}"] / by_variant[f"rhe_{rule}"]) for rule in EFFECT_RULES
-    }
-
-
-def _error(run):
-    """The mean error of a drive, by raw GNSS [m]."""
-    return run.metrics["mean_error_m"]
-
-
-def effects(orders, seed=0):
-    """Total effects of the unknowns on the order, over the prior's worlds.
-
-    The total effect of an unknown is the share of the variance that is left if all others are known
-    (I. Sobol', Math. Comput. Simul. 55, 2001), here by scipy.stats.sobol_indices. It is found for
-    the sign of RHE - EKF and for ln(EKF / RHE).
-
-    Args:
-        orders: Of `drive_effects`.
-        seed: Of the bootstrap.
-
-    Returns:
-        DataFrame, one row a rule and unknown: both total effects with their 95 % intervals
-        (bootstrap over rows of the samples), and the share of worlds in which the RHE is the better
-        in the lower, middle and upper third of the unknown's prior.
-    """
-    unit = effect_design(next(iter(orders.values())).shape[1])
-    rows = []
-    for rule, log_ratio in orders.items():
-        indices = {
-            name: _total_effects(values, seed)
-            for name, values in dict(sign=np.sign(log_ratio), ratio=log_ratio).items()
-        }
-        better = (log_ratio[:2] > 0).ravel()
-        for k, unknown in enumerate(_EFFECT_UNKNOWNS):
-            thirds = np.minimum((unit[:2, :, UNKNOWNS.index(unknown)].ravel() * 3).astype(int), 2)
-            row = {"rule for W": rule, "unknown": unknown}
-            for name, (total, low, high) in indices.items():
-                row |= {f"of the {name}": total[k], f"{name} low": low[k], f"{name} high": high[k]}
-            for third, words in enumerate(("lower", "middle", "upper")):
-                row[f"RHE better, {words} third"] = better[thirds == third].mean()
-            rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def _total_effects(values, seed):
-    """Total effects (d,) of values (2 + d, rows), and the ends of their 95 % intervals."""
-    n = values.shape[1]
-    rng = np.random.default_rng(seed)
-    again = [_total_effect(values[:, rng.integers(n, size=n)]) for _ in range(_RESAMPLES)]
-    return _total_effect(values), *np.quantile(again, [0.025, 0.975], axis=0)
-
-
-def _total_effect(values):
-    func = dict(f_A=values[:1], f_B=values[1:2], f_AB=values[2:, None, :])
-    return np.ravel(stats.sobol_indices(func=func, n=values.shape[1]).total_order)
-
-
 # Making the files
 
 
@@ -361,7 +247,7 @@ def main():
     parser = argparse.ArgumentParser(
         "python -m notebooks.studies.order_in_worlds", description=__doc__
     )
-    parts = ("noises", "drives", "effects")
+    parts = ("noises", "drives")
     parser.add_argument("part", nargs="*", default=parts, help=f"of {parts}; without any, all")
     chosen = parser.parse_args().part
     worlds = which_worlds.posterior_worlds()
@@ -369,8 +255,6 @@ def main():
         fitted_noises(worlds).to_csv(NOISES, index=False)
     if "drives" in chosen:
         which_worlds.write(drive_by_rule(with_noises(worlds, pd.read_csv(NOISES))), ORDER_DRIVES)
-    if "effects" in chosen:
-        effects(drive_effects()).to_csv(EFFECTS, index=False, float_format="%.4g")
 
 
 if __name__ == "__main__":
