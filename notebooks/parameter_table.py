@@ -1,4 +1,4 @@
-"""What a notebook's parameters are, as papermill reads them from its cell tagged `parameters`.
+"""What a notebook's parameters are, by its cell tagged `parameters`.
 
     python -m notebooks.parameter_table
 
@@ -12,9 +12,8 @@ import re
 from typing import NamedTuple
 
 import nbformat
-from papermill.translators import PythonTranslator
 
-from notebooks.run import DEFAULTS, ROOT, declarations
+from notebooks.declared import DEFAULTS, ROOT, declarations
 
 _WORDS = {
     "bool": "True or False",
@@ -25,14 +24,6 @@ _WORDS = {
     "str": "text",
     "whole": "whole number",
 }
-
-
-class _Translator(PythonTranslator):
-    # Papermill's own pattern knows no annotation with parentheses or quotes, such as whole(2, 9).
-    PARAMETER_PATTERN = re.compile(
-        r"(?P<target>\w+)\s*:\s*(?P<annotation>[^=#]+?)\s*=\s*(?P<value>.*?)"
-        r"(?P<type_comment>(?!))?(\s*#\s*(?P<help>.*))?$"
-    )
 
 
 class Parameter(NamedTuple):
@@ -62,35 +53,40 @@ def parameters_of(notebook):
     Returns:
         A list of Parameters, in the order of the cells tagged `parameters`.
     """
+    return [_parameter(*found) for found in _declared(notebook)]
+
+
+def _declared(notebook):
+    """The `declarations` in the cells tagged `parameters` of a notebook."""
     cells = nbformat.read(notebook, 4).cells
     tagged = [cell for cell in cells if "parameters" in cell.metadata.get("tags", ())]
-    return [_parameter(found) for cell in tagged for found in _Translator.inspect(cell)]
+    return [found for cell in tagged for found in declarations(cell.source)]
 
 
-def _parameter(found):
-    """A Parameter of what papermill found: the comment begins with the unit in brackets."""
-    _, unit, meaning = re.fullmatch(r"(\[(.*?)\] )?(.*)", found.help).groups()
-    kind = _in_words(ast.parse(found.inferred_type_name, mode="eval").body)
-    default = _value(ast.parse(found.default, mode="eval").body)
-    return Parameter(found.name, kind, unit or "", str(default), meaning)
+def _parameter(name, annotation, value, comment):
+    """A Parameter; the comment begins with the unit in brackets."""
+    _, unit, meaning = re.fullmatch(r"(\[(.*?)\] )?(.*)", comment).groups()
+    kind = _in_words(ast.parse(annotation, mode="eval").body)
+    return Parameter(name, kind, unit or "", str(_value(value)), meaning)
 
 
 def _in_words(annotation):
     """The syntax tree of an annotation in words."""
     match annotation:
         case ast.Call(ast.Name(name), [low, high]):
-            return f"{_WORDS[name]}, {_value(low):.10g} to {_value(high):.10g}"
+            ends = [f"{_value(ast.unparse(end)):.10g}" for end in (low, high)]
+            return f"{_WORDS[name]}, {' to '.join(ends)}"
         case ast.Subscript(ast.Name("Literal"), ast.Tuple(values)):
-            *others, last = map(_value, values)
+            *others, last = map(ast.literal_eval, values)
             return f"{', '.join(others)} or {last}"
         case ast.Subscript(ast.Name("list"), entry):
             return f"list of: {_in_words(entry)}"
     return _WORDS[ast.unparse(annotation)]
 
 
-def _value(tree):
-    """The value of an expression, by its syntax tree."""
-    return eval(compile(ast.Expression(tree), "parameter", "eval"), {})
+def _value(text):
+    """The value of an expression."""
+    return eval(text, {})
 
 
 def as_text(parameters):
@@ -104,17 +100,13 @@ def as_text(parameters):
 
 def own_parameters():
     """{notebook: {"name: annotation": value}} of all notebooks, as DEFAULTS has them."""
-    found = {}
-    for path in sorted((ROOT / "notebooks").rglob("*.ipynb")):
-        if ".ipynb_checkpoints" not in path.parts:
-            cells = nbformat.read(path, 4).cells
-            tagged = [cell for cell in cells if "parameters" in cell.metadata.get("tags", ())]
-            found[path.stem] = {
-                f"{name}: {annotation}": _value(ast.parse(value, mode="eval").body)
-                for cell in tagged
-                for name, annotation, value in declarations(cell.source)
-            }
-    return found
+    return {
+        path.stem: {
+            f"{name}: {annotation}": _value(value) for name, annotation, value, _ in _declared(path)
+        }
+        for path in sorted((ROOT / "notebooks").rglob("*.ipynb"))
+        if ".ipynb_checkpoints" not in path.parts
+    }
 
 
 if __name__ == "__main__":

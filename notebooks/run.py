@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Annotated, get_type_hints
 
 from notebooks import captions
+from notebooks.declared import DEFAULTS, ROOT, declarations
 from rhec import style
 from rhec.files import replacing
 
-ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "build/campaign/notebooks"  # finished runs, which notebooks share
-DEFAULTS = ROOT / "notebooks/defaults.json"  # made by `python -m notebooks.parameter_table`
 _PLAIN_DATA = (bool, int, float, str, list, tuple, set, dict, type(None))
 _CHECKED = "_parameters_checked"  # in a notebook's namespace once its parameters were checked
 # Dots per inch of a figure: a column of the paper, 3.4 in, is 900 pixels wide.
@@ -79,7 +78,7 @@ def parameters(namespace):
 
     types = {}
     for source in namespace["In"]:
-        for name, annotation, _ in declarations(source):
+        for name, annotation, *_ in declarations(source):
             types[name] = _strict(name, eval(annotation, namespace))
     # The first time, all plain data are parameters; later the notebook has data of its own.
     if _CHECKED not in namespace or namespace[_CHECKED] is not parameters:
@@ -122,29 +121,16 @@ def _own_parameters(sources):
     by what it declares, because only JupyterLab tells its name.
     """
     declared = [each for source in sources for each in declarations(source)]
-    wanted = {f"{name}: {annotation}" for name, annotation, _ in declared}
+    wanted = {f"{name}: {annotation}" for name, annotation, *_ in declared}
     name = Path(style.running_notebook() or "notebook").stem
     for notebook, defaults in json.loads(DEFAULTS.read_text(encoding="utf-8")).items():
         if {*defaults} == wanted or notebook == name:
             return notebook, {key.split(":")[0]: value for key, value in defaults.items()}
     values = {}  # of another notebook, as they stand in its cells
-    for parameter, _, value in declared:
+    for parameter, _, value, _ in declared:
         with contextlib.suppress(ValueError):  # it is computed
             values[parameter] = ast.literal_eval(value)
     return name, values
-
-
-def declarations(source):
-    """[(name, annotation, value)] of a cell's annotated assignments; [] if it is no Python."""
-    try:
-        nodes = ast.parse(source).body
-    except SyntaxError:
-        return []
-    nodes = [node for node in nodes if isinstance(node, ast.AnnAssign) and node.value]
-    return [
-        (ast.unparse(node.target), ast.unparse(node.annotation), ast.unparse(node.value))
-        for node in nodes
-    ]
 
 
 def _strict(name, annotation):

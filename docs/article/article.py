@@ -13,6 +13,7 @@ import pandas as pd
 import typst
 
 from notebooks.claims.summary import verdict_counts
+from notebooks.further import unknowns
 from notebooks.studies import answer
 from notebooks.studies.tables import interval_texts
 from rhec import paper
@@ -93,12 +94,13 @@ def _statements():
 
 
 def _worth():
-    """Ratios of the true error with a part of the loop to that without it."""
-    rows = pd.read_csv(answer.RESULTS / "table_traction_worth.csv")
-    rows = rows[rows["quantity"] == "true error with it over without it"]
+    """Ratios of the true error with an unknown to that without it, in the default world."""
+    rows = pd.read_csv(answer.RESULTS / "table_unknowns.csv")
+    rows = rows[(rows["world"] == unknowns.DEFAULT) & (rows["quantity"] == unknowns.RATIO)]
     # Near 1 they differ in the third decimal.
-    texts = interval_texts(rows, number="{:.3f}".format)
-    return pd.DataFrame({"part of the loop": rows["loop"], "error with it over without": texts})
+    cells = rows.assign(text=interval_texts(rows, number="{:.3f}".format))
+    shown = cells.pivot_table("text", "robot", "weights", aggfunc="first", sort=False)
+    return shown.rename_axis("unknown").reset_index()
 
 
 def _faults():

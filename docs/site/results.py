@@ -60,7 +60,6 @@ BLOCKS = {
     "answer": lambda: answer.first_screen(),
     "bar": lambda: answer.bar(),
     "sentence": lambda: f"**{answer.in_short(_table('table_scenario_b'))}**",
-    "words": lambda: answer.in_words(),
     "numbers": lambda: to_markdown(answer.scenario_b_numbers(_table("table_scenario_b"))),
     "turns": lambda: to_markdown(answer.by_turns(_table("table_scenario_b"))),
     "sentences": lambda: to_markdown(answer.sentences()),

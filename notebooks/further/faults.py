@@ -6,7 +6,6 @@ recovered when its true error stays within the tolerance for 5 s.
 """
 
 from dataclasses import replace
-from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +19,7 @@ from rhec.simulation.faults import Fault
 from rhec.simulation.metrics import settled_samples
 from rhec.simulation.simulate import simulate
 
-# How long before and after a fault the errors are recorded.
-BEFORE_S = 10.0
-AFTER_S = 60.0
+AFTER_S = 60.0  # how long after a fault the robot drives
 _AIM_S = {"": 20.0, "start": 60.0}  # recovery time to reach, by family; "" for all others
 # Faults begin between these times: the robot has arrived, and drives on for AFTER_S.
 _FIRST_S = 40.0
@@ -86,17 +83,6 @@ CASES = {
 }
 
 
-# Cases that differ most between the estimators, or that none of them can mend.
-HARD = (
-    ("encoders", "left dead"),
-    ("outage", "30 s"),
-    ("outlier", "10 m"),
-    ("burst", "10 m"),
-    ("jump", "3 m"),
-    ("stuck", "30 s"),
-    ("start", "yaw 180° wrong"),
-    ("patch", "forward"),
-)
 _ESTIMATORS = {"RHE": {}, "EKF": {"estimator": "ekf"}}
 _ORACLE = {"oracle": {"estimator": "oracle"}}
 # No estimator can do better than the oracle in these families.
@@ -177,47 +163,34 @@ def response(course, begin_s, end_s):
     )
 
 
-def _errors_around(course, begin_s, end_s):
-    """True errors from BEFORE_S before the fault to AFTER_S after it; NaN before the run."""
-    first, last = (round(time / paper.DT_S) for time in (begin_s - BEFORE_S, end_s + AFTER_S))
-    errors = course.error_m[max(first, 0) : last]
-    return np.pad(errors, (max(-first, 0), 0), constant_values=np.nan)
-
-
 def study(base, seeds, estimators, cases=CASES):
     """All cases on these seeds with each of the estimators, {name: fields of Scenario}.
 
     The DataFrame has one row a run: family, case, estimator, seed, begin_s, end_s and the
-    `response`. Beside it are the true errors over time, {(family, case, estimator): (seeds,
-    samples)}, from BEFORE_S before the fault to AFTER_S after it, NaN beyond.
+    `response`.
     """
-    rows = []
-    errors = {}
     # The same fault begins elsewhere on the lap for every seed.
     begins_s = np.linspace(_FIRST_S, _LAST_S, len(seeds), endpoint=False).tolist()
     every = [
-        (family, name, how) for family in cases for name in cases[family] for how in estimators
+        dict(family=family, case=name, estimator=how, seed=seed, begin_s=begin_s)
+        for family in cases
+        for name in cases[family]
+        for how in estimators
+        for seed, begin_s in zip(seeds, begins_s)
     ]
-    courses = iter(
-        map_runs(
-            course_of,
-            [
-                scenario(cases[family][name], begin_s, replace(base, seed=seed, **estimators[how]))
-                for family, name, how in every
-                for seed, begin_s in zip(seeds, begins_s)
-            ],
+    scenarios = [
+        scenario(
+            cases[of["family"]][of["case"]],
+            of["begin_s"],
+            replace(base, seed=of["seed"], **estimators[of["estimator"]]),
         )
-    )
-    for family, name, how in every:
-        curves = []
-        for seed, begin_s, driven in zip(seeds, begins_s, courses):
-            begin_s, end_s = interval_s(driven, cases[family][name], begin_s)
-            about = dict(family=family, case=name, estimator=how, seed=seed)
-            about |= dict(begin_s=begin_s, end_s=end_s)
-            rows.append(about | response(driven, begin_s, end_s))
-            curves.append(_errors_around(driven, begin_s, end_s))
-        errors[family, name, how] = np.array([*zip_longest(*curves, fillvalue=np.nan)]).T
-    return pd.DataFrame(rows), errors
+        for of in every
+    ]
+    rows = []
+    for of, driven in zip(every, map_runs(course_of, scenarios)):
+        begin_s, end_s = interval_s(driven, cases[of["family"]][of["case"]], of["begin_s"])
+        rows.append(of | dict(begin_s=begin_s, end_s=end_s) | response(driven, begin_s, end_s))
+    return pd.DataFrame(rows)
 
 
 def fault_table(table, aim_s=_AIM_S):
@@ -240,21 +213,16 @@ def fault_table(table, aim_s=_AIM_S):
     return pd.DataFrame(rows)
 
 
-class FaultStudy(NamedTuple):
-    """All cases with the RHE and with the EKF."""
-
-    runs: pd.DataFrame  # of `study`
-    errors: dict  # of `study`
-    table: pd.DataFrame  # of `fault_table`, also with the oracle's rows
-    about: dict  # what made it, for the files
-
-
 def rhe_and_ekf(base, seeds):
-    """The FaultStudy of all cases, added to the Scenario base, on so many fields."""
-    runs, errors = study(base, range(seeds), _ESTIMATORS)
-    oracle, _ = study(base, range(seeds), _ORACLE, {name: CASES[name] for name in _WITH_ORACLE})
+    """The `fault_table` of all cases, added to the Scenario base, on so many fields.
+
+    Returns:
+        The table with RHE, EKF and oracle, and a dict of what made it, for the files.
+    """
+    limits = {name: CASES[name] for name in _WITH_ORACLE}
+    runs = [study(base, range(seeds), _ESTIMATORS), study(base, range(seeds), _ORACLE, limits)]
     about = dict(scenario=base, estimators=_ESTIMATORS, seeds=f"0 to {seeds - 1}")
-    return FaultStudy(runs, errors, fault_table(pd.concat([runs, oracle])), about)
+    return fault_table(pd.concat(runs)), about
 
 
 def readable_fault_table(table):

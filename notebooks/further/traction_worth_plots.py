@@ -1,80 +1,16 @@
-"""Loops of estimator and controller by their tracking error, and a map over the soil."""
+"""What each unknown is worth in every world, and a map over the soil."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
-from notebooks.further import traction_map, traction_worth, unknowns
-from notebooks.plots.parts import DOTS, legend_outside, log_axis, note, panels_beside
+from notebooks.further import traction_map, unknowns
+from notebooks.plots.parts import legend_outside, log_axis, panels_beside
 from notebooks.studies.tables import with_minus
 from rhec import paper, style
 
-_FAMILIES = {  # {beginning of a loop's name: colour}; all others are grey
-    "yaw-drift": style.PURPLE,
-    "RHE": style.COLOURS["RHE"],
-    "EKF": style.COLOURS["EKF"],
-    "traction": style.COLOURS["oracle"],
-    "full oracle": style.BLACK,
-}
 _WORTH = LinearSegmentedColormap.from_list("worth", [style.SKY, "w", style.ORANGE])
 _SPAN = 0.3  # of the ratios that differ in colour, on both sides of 1
-_OFF_SCALE = 1.3  # upper limit of the axis as a multiple of the paper's RHE
-
-
-@style.styled
-def ranked(tables, worth):
-    """Draw the true error of every loop, the best above, a dot a seed.
-
-    A number at the edge counts seeds outside the axis, and an arrow is a mean outside. The tables
-    are those of `notebooks.further.traction_worth.drive`, worth is their `worth_table`.
-    """
-    means = worth[worth["quantity"] == traction_worth.ERROR].set_index("loop")
-    largest = _OFF_SCALE * means.loc[traction_worth.PAPERS, "mean"]
-    figure, axes = plt.subplots(figsize=(style.DOUBLE_IN, 0.22 * len(means) + 0.9))
-    for place, (name, mean) in enumerate(means.iterrows()):
-        colour = _colour_of(name)
-        errors = tables[name]["mean_error_true_m"].to_numpy()
-        _draw_seeds(axes, place, errors, largest, colour)
-        _draw_mean(axes, place, mean[["mean", "low", "high"]], largest, colour)
-    axes.set_yticks(range(len(means)), means.index)
-    axes.set_ylim(len(means) - 0.4, -0.6)
-    axes.set_xlim(0, largest)
-    axes.grid(axis="y", visible=False)
-    axes.set_xlabel("mean true error of a drive [m]")
-    axes.set_title(f"{means['n'].max()} fields")
-    return figure
-
-
-def _colour_of(name):
-    """The colour of an estimator's family."""
-    families = (colour for family, colour in _FAMILIES.items() if name.startswith(family))
-    return next(families, style.GREY)
-
-
-def _draw_seeds(axes, place, errors, largest, colour):
-    """Draw a dot for each seed, and the number of seeds outside the axis."""
-    spread = np.linspace(0.3, -0.3, len(errors))
-    inside = errors < largest
-    dots = dict(color=colour, markersize=1.5, alpha=0.3)
-    axes.plot(errors[inside], (place + spread)[inside], **DOTS, **dots)
-    if not inside.all():
-        # A white box keeps the number readable on top of the dots.
-        box = dict(boxstyle="square,pad=0.1", facecolor="w", edgecolor="none", alpha=0.85)
-        look = dict(ha="right", color=colour, bbox=box, zorder=4)
-        note(axes, f"{(~inside).sum()} off scale", (largest, place), (-4, 0), **look)
-
-
-def _draw_mean(axes, place, estimate, most, colour):
-    """Draw a mean with its 95 % interval, or an arrow at the edge, and its number at the right."""
-    mean, low, high = estimate
-    if mean < most:
-        look = dict(fmt="D", markeredgecolor="w", markeredgewidth=0.5, markersize=4, capsize=2)
-        axes.errorbar(
-            mean, place, xerr=[[mean - low], [high - mean]], color=colour, zorder=3, **look
-        )
-    else:
-        axes.plot(most, place, ">", color=colour, markersize=4, clip_on=False)
-    note(axes, f"{mean:.4f}", (1, place), (5, 0), xycoords=("axes fraction", "data"))
 
 
 _ROBOTS = {  # {robot: colour and line} of the picture of unknowns

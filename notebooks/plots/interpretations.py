@@ -7,14 +7,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from notebooks.plots.parts import (
-    BOUND,
-    legend_outside,
-    note,
-    panels_beside,
-    shade,
-    ticks_at_the_ends,
-)
+from notebooks.plots.parts import BOUND, note, panels_beside, shade, ticks_at_the_ends
 from notebooks.studies import statistics
 from notebooks.studies.interpretations import QUANTITIES
 from notebooks.studies.tables import with_minus
@@ -23,7 +16,6 @@ from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SKY, SMALL_PT, VERM
 _CHATTER_S = (40, 100)  # times before and in the first turn
 _COLOURS = (SKY, ORANGE, VERMILLION)
 _SIGMA_UNIFORM = 1 / np.sqrt(12)  # standard deviation of a uniform distribution on [0, 1]
-_MOST_DEVIANCE = 2.0  # upper limit of the axis; such values are very unlikely
 # Above the axes and their title, so that no legend lies on a curve.
 _LEGEND_ABOVE = dict(loc="lower left", bbox_to_anchor=(-0.1, 1.12), borderaxespad=0)
 _LEGEND_ABOVE |= dict(fontsize=SMALL_PT, handlelength=1.2)
@@ -113,30 +105,6 @@ def rhe_kappa(analysis, sweep, runs, printed, prediction):
         title="seed 0, the first turn",
     )
     time.set_ylim(-0.03, 1.03)
-    return figure
-
-
-@styled
-def likelihood(profiles):
-    """Draw -2 log likelihood per sample above its minimum, over each standard deviation of W.
-
-    Args:
-        profiles: {title: (table, printed value, likelihood value)}, with tables of
-            `notebooks.studies.interpretations.likelihood_profile`.
-    """
-    figure, panels = plt.subplots(1, len(profiles), figsize=(DOUBLE_IN, 2.0))
-    for axes, (title, (table, printed, prediction)) in zip(panels, profiles.items()):
-        axes.plot(table["sigma"], table["deviance"], "o-", color=BLUE, markersize=2)
-        _mark(axes, printed=printed, prediction=prediction)
-        most = min(1.05 * table["deviance"].max(), _MOST_DEVIANCE)
-        axes.set(xscale="log", xlabel=title, ylim=(-0.03 * most, most))
-        beyond = (table["deviance"] > most).sum()
-        cut = f"cut: {beyond} of {len(table)} above" if beyond else ""
-        axes.set_title(cut, fontsize=SMALL_PT)
-        axes.minorticks_off()
-        axes.tick_params(axis="x", labelsize=SMALL_PT)
-    panels[0].set_ylabel("deviance a sample,\nabove least [-]")
-    legend_outside(figure, panels[0], "upper right", 2)
     return figure
 
 

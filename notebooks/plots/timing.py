@@ -1,4 +1,4 @@
-"""The paper's Figure 5, the order and the times of the phases, and the times of the exported C."""
+"""The paper's Figure 5: the order and the times of the phases."""
 
 import matplotlib.pyplot as plt
 
@@ -94,36 +94,4 @@ def phases(times, machine):
     axes.set_xlabel("time [µs], logarithmic; marker: average, line: minimum to maximum")
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=1)
-    return figure
-
-
-@styled
-def embedded_times(times):
-    """Draw times of the exported C and of other sources: feedback, and a whole step.
-
-    Args:
-        times: Rows with machine, who, problem and phase as in `phases`, and mean_ms.
-    """
-    sources = list(times.groupby(["machine", "who"], sort=False))
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.9 + 0.3 * len(sources)))
-    for place, (_, rows) in enumerate(sources):
-        mean_us = 1000 * rows.set_index(["problem", "phase"])["mean_ms"]
-        command_us = mean_us[_FEEDBACK].sum()
-        step_us = mean_us.sum()
-        axes.plot([command_us, step_us], [place, place], color=GREY, linewidth=0.8, zorder=1)
-        for value, colour, label in [
-            (command_us, ORANGE, "measurement to command"),
-            (step_us, BLUE, "whole step"),
-        ]:
-            look = dict(color=colour, markersize=4, label=None if place else label)
-            axes.plot(value, place, "o", linestyle="none", **look)
-        note(axes, f"{command_us:.3g} µs, whole step {step_us:.3g} µs", (step_us, place), (6, 0))
-    axes.set_yticks(range(len(sources)), [f"{who}\n{machine}" for (machine, who), _ in sources])
-    axes.tick_params(axis="y", labelsize=SMALL_PT)
-    axes.set(ylim=(len(sources) - 0.5, -0.5))
-    log_axis(axes.xaxis)
-    low, high = axes.get_xlim()
-    axes.set(xlim=(low, high * (high / low) ** 0.33), xlabel="mean time [µs], logarithmic")
-    axes.grid(axis="y", visible=False)
-    figure.legend(loc="outside lower center", ncols=2)
     return figure

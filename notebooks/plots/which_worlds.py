@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy import stats
 
-from notebooks.plots.parts import legend_outside, log_axis, note, ticks_at_the_ends
+from notebooks.plots.parts import log_axis, note, ticks_at_the_ends
 from notebooks.studies import which_worlds
-from notebooks.studies.names import RULES, TURNS, noise_text
+from notebooks.studies.names import RULES, TURNS
 from rhec import paper
 from rhec.style import (
     BLACK,
@@ -199,36 +199,6 @@ def order(table):
     ratios.axvline(1, color=BLACK, linewidth=0.6, linestyle=":")
     shares.axvline(0.5, color=BLACK, linewidth=0.6, linestyle=":")
     figure.legend(*shares.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
-
-
-@styled
-def effects(table):
-    """Draw which unknowns decide the sign of RHE - EKF.
-
-    Args:
-        table: Of `notebooks.studies.order_in_worlds.effects`.
-
-    Returns:
-        A Figure: total effects with their 95 % intervals, one panel a rule.
-    """
-    rules = [*table["rule for W"].unique()]
-    names = table.groupby("unknown")["of the sign"].max().sort_values(ascending=False).index
-    size = (DOUBLE_IN, 0.17 * len(names) + 0.8)
-    figure, panels = plt.subplots(1, len(rules), figsize=size, sharey=True)
-    places = np.arange(len(names))
-    for axes, rule in zip(panels, rules):
-        rows = table[table["rule for W"] == rule].set_index("unknown").loc[names]
-        for name, colour, shift in (("sign", BLUE, -0.15), ("ratio", ORANGE, 0.15)):
-            middle = rows[f"of the {name}"].to_numpy()
-            ends = np.abs(rows[[f"{name} low", f"{name} high"]].to_numpy().T - middle)
-            label = {"sign": "of the sign", "ratio": "of ln(EKF / RHE)"}[name]
-            look = dict(fmt="o", color=colour, markersize=2.5, elinewidth=0.7, label=label)
-            axes.errorbar(middle, places + shift, xerr=ends, **look)
-        axes.set(title=noise_text(rule), xlim=(-0.05, 1.05), ylim=(len(names) - 0.5, -0.5))
-        axes.set_xlabel("total effect")
-    panels[0].set_yticks(places, [_LABELS.get(name, name.replace("_", " ")) for name in names])
-    legend_outside(figure, panels[0], "lower center", 2)
     return figure
 
 

@@ -7,6 +7,7 @@ rule picks W for both estimators, for each its own; R, the weight of the yaw rat
 is the paper's 10.
 """
 
+from collections import Counter
 from pathlib import Path
 
 import pandas as pd
@@ -125,18 +126,25 @@ def _patterns(table):
 # The table of the first screen
 
 
-def paper_beside_ours():
+def paper_beside_ours(table=None):
     """Scenario B beside the paper, with a verdict in each cell: a row a quantity, a column a rule.
 
     The last two rows have the verdict on "benefits from traction parameter estimates" (claim B6),
     and the share of the posterior's worlds in which the RHE has the smaller error.
 
+    Args:
+        table: Of `notebooks.studies.scenario_tables.scenario_b_table`, of which the rows above the
+            last two are made; None: that of this commit, with all rows, and with the ledger's
+            verdict on violations, which knows the oracle.
+
     Returns:
         DataFrame of texts such as "met: 0.0419".
     """
-    numbers = Numbers(_table("table_scenario_b"))
+    numbers = Numbers(_table("table_scenario_b") if table is None else table)
+    never = (
+        {rule: numbers.never(rule) for rule in _RULES} if table is not None else _conditions("B7")
+    )
     n = numbers.row("RHE", _ERROR, "printed")["n"]
-    never = _conditions("B7")
     difference_mm = _MM * (paper.MEAN_ERROR_RHE_M - paper.MEAN_ERROR_EKF_M)
     rows = {
         "Mean error, RHE [m]": (
@@ -156,12 +164,15 @@ def paper_beside_ours():
             f"{paper.VIOLATIONS_EKF}",
             lambda rule: _number_cell(numbers, "EKF", _VIOLATIONS, rule),
         ),
-        "The RHE benefits from its traction estimates": ("yes", _conditions("B6").get),
-        "Share of worlds that fit the paper in which the RHE's error is less": (
-            _NONE,
-            _worlds().get,
-        ),
     }
+    if table is None:
+        rows |= {
+            "The RHE benefits from its traction estimates": ("yes", _conditions("B6").get),
+            "Share of worlds that fit the paper in which the RHE's error is less": (
+                _NONE,
+                _worlds().get,
+            ),
+        }
     head = f"mean of {n} drives, turns {TURNS[numbers.turns]}"
     return pd.DataFrame(
         [
@@ -204,7 +215,7 @@ def _order_cell(numbers, rule):
 
 
 def _never_cell(numbers, never, rule):
-    """The share of drives without a violation, and the ledger's verdict, which knows the oracle."""
+    """The share of drives without a violation, and the verdict on "never"."""
     share = _percent(numbers.row("RHE", _CLEAN, rule)["mean"])
     return f"{never[rule]}: {share}" if rule in never else share
 
@@ -331,7 +342,7 @@ def in_short(table):
     orders = [word == HOLDS for word in _orders(patterns).values()]
     in_part = any(words) or sum(orders) > len(orders) / 2
     short = "Yes" if all(words) else "In part" if in_part else "No"
-    parts = [_says_order(patterns, short=True), *_says_lost(patterns), _says_error(numbers)]
+    parts = [_says_order(patterns), *_says_lost(patterns), _says_error(numbers)]
     return f"{short}: {'; '.join(parts)}."
 
 
@@ -353,10 +364,10 @@ def _order_of(patterns):
     return words.pop() if len(words) == 1 else None
 
 
-def _says_order(patterns, short=False):
+def _says_order(patterns):
     """Whether the RHE is better than the EKF, by each rule and on each pattern of turns.
 
-    In short, exceptions are counted and not named.
+    Exceptions are counted by their turns.
     """
     orders = _orders(patterns)
     rules = "by every rule for W with which the EKF can drive"
@@ -372,29 +383,16 @@ def _says_order(patterns, short=False):
     if order in same:
         return same[order]
     better = sum(word == HOLDS for word in orders.values())
-    others = {}
-    for (turns, rule), word in orders.items():
-        if word != HOLDS:
-            others.setdefault(turns, []).append(_RULES[rule])
-    where = [
-        f"where the path turns {TURNS[turns]} with W {' or '.join(rules)}"
-        for turns, rules in others.items()
+    text = f"the RHE is better than the EKF in {better} of {len(orders)} cases of rule and turns"
+    others = Counter(turns for (turns, _), word in orders.items() if word != HOLDS)
+    counts = [
+        f"{count} of the {sum(turns == each for each, _ in orders)} with turns {TURNS[turns]}"
+        for turns, count in others.items()
     ]
-    cases = f"{len(orders)} cases of rule and turns"
-    if not short:
-        cases += " (those in which the EKF is not lost)"
-    text = f"the RHE is better than the EKF in {better} of {cases}"
-    if short:
-        counts = [
-            f"{len(rules)} of the {sum(turns == each for each, _ in orders)} with turns "
-            f"{TURNS[turns]}"
-            for turns, rules in others.items()
-        ]
-        return f"{text}, but not in {_listed(counts)}" if len(where) <= _FEW else text
-    return f"{text}, but not {_listed(where)}" if len(where) <= _FEW else text
+    return f"{text}, but not in {_listed(counts)}" if len(others) <= _FEW else text
 
 
-_FEW = 3  # exceptions that a sentence may list
+_FEW = 3  # patterns of turns with exceptions that a sentence may list
 
 
 def _says_lost(patterns):
@@ -423,102 +421,15 @@ def _says_error(numbers):
     return f"the RHE's mean error with W as printed {of_rhe}"
 
 
-# One sentence of the paper after the other
-
-
-def in_words():
-    """What Scenarios A and B say of the paper's sentences, as Markdown, one line for each."""
-    told = "B6 B7 A1 A2 A10 A9".split()
-    return f"{scenario_b_in_words(_table('table_scenario_b'))}\n{_says_ledger(told)}"
-
-
 def first_screen():
     """The answer in one sentence and one table, as Markdown."""
     return f"**{in_short(_table('table_scenario_b'))}**\n\n{to_markdown(paper_beside_ours())}"
 
 
-def scenario_b_in_words(table):
-    """What Scenario B's table says, as Markdown.
-
-    Args:
-        table: Of `notebooks.studies.scenario_tables.scenario_b_table`.
-    """
-    patterns = _patterns(table)
-    numbers = next(iter(patterns.values()))
-    order = _says_order(patterns)
-    said = {
-        "“The mean values of the Euclidian error … are 0.0423 m and 0.0514 m.”": (
-            f"{_by_rule(_says_number(numbers, 'RHE', _ERROR, ' m'), 'RHE')} "
-            f"{_by_rule(_says_number(numbers, 'EKF', _ERROR, ' m'), 'EKF')}"
-        ),
-        "“Less error compared to the RHC based on the EKF.”": (
-            f"{order[0].upper()}{order[1:]}. {_says_pairs(numbers)}"
-        ),
-        "“Does not violate this error constraint.”": (
-            f"Drives without a violation: {_by_rule(_says_clean(numbers), 'RHE')} Claim B7 judges "
-            "them by what is possible for a robot that knows its pose and soil."
-        ),
-        "“The RHC based on the EKF violates it 17 times.”": _by_rule(
-            _says_number(numbers, "EKF", _VIOLATIONS, ""), "EKF"
-        ),
-        "The RHE violates it less often.": _by_rule(
-            {
-                rule: _said(numbers.order(_VIOLATIONS, rule))
-                + f" ({_with_interval_of_gain(numbers, rule)})"
-                for rule in _RULES
-            },
-            "RHE − EKF",
-        ),
-    }
-    return "\n".join(f"- **{sentence}** {answer}" for sentence, answer in said.items())
-
-
-def _with_interval_of_gain(numbers, rule):
-    return _with_interval(numbers.row(_GAIN, _VIOLATIONS, rule), -float("inf"))
-
-
-def _by_rule(words, whose):
-    """{rule: words} as a sentence."""
-    return f"{whose}: {', '.join(f'{_RULES[rule]} {word}' for rule, word in words.items())}."
-
-
-def _says_number(numbers, estimator, quantity, unit):
-    """{rule: verdict and mean}."""
-    return {
-        rule: f"{_said_of_number(numbers, estimator, quantity, rule)} "
-        f"({three_digits(numbers.row(estimator, quantity, rule)['mean'])}{unit})"
-        for rule in _RULES
-    }
-
-
-def _says_clean(numbers):
-    """{rule: share of drives without a violation}."""
-    return {rule: _percent(numbers.row("RHE", _CLEAN, rule)["mean"]) for rule in _RULES}
-
-
-def _says_pairs(numbers):
-    """Both mean errors by each rule, with turns as the table has them first."""
-    pairs = [
-        f"{_RULES[rule]} {_EKF_LOST}"
-        if numbers.order(_ERROR, rule) == LOST
-        else f"{_RULES[rule]} "
-        + " against ".join(
-            f"{numbers.row(name, _ERROR, rule)['mean']:.4f}" for name in ("RHE", "EKF")
-        )
-        + " m"
-        for rule in _RULES
-    ]
-    gap_m = paper.MEAN_ERROR_EKF_M - paper.MEAN_ERROR_RHE_M
-    return (
-        f"Turns {TURNS[numbers.turns]}, RHE against EKF: {', '.join(pairs)}; in the paper it is "
-        f"better by {gap_m:.4f} m."
-    )
-
-
 def scenario_a_in_words(table):
     """What Scenario A's table says of the weight of the yaw, as Markdown.
 
-    The paper's own sentences on it are judged in the ledger, see `_says_ledger`.
+    The paper's own sentences on it are judged in the ledger.
 
     Args:
         table: Of `notebooks.studies.scenario_tables.scenario_a_table`.
@@ -537,15 +448,6 @@ def scenario_a_in_words(table):
         f"it is at least twice as far {swings['verdict']}.\n"
         f"- **The mean errors**, by the true position after settling, are {errors}."
     )
-
-
-def _says_ledger(ids):
-    """What the ledger says of sentences of the paper, one line each, as Markdown."""
-    lines = []
-    for row in _claims().loc[ids].itertuples():
-        number = interval_text(row.value, row.low, row.high)
-        lines.append(f"- **{row.claim}** ({row.Index}): {row.verdict}; {number} {row.unit}.")
-    return "\n".join(lines)
 
 
 def _listed(texts):

@@ -4,36 +4,16 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-import rhec
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
-from rhec.core._casadi.packing import pack_array
-from rhec.core.controller import rhc
 from rhec.core.controller.qp import commanded
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
-from rhec.simulation.closed_loop import first_guess
-from rhec.tracked_robot.paper_rhc import problem_of_scenario
-from rhec.tracked_robot.path import path_of
 
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
     "qpoases": {"printLevel": "none", "hessian_type": "posdef"},
 }
-
-
-def controller(scenario, solver):
-    """The RHC of a Scenario with its QP condensed, as a rhec.Controller.
-
-    Args:
-        scenario: The Scenario that it is for; its own controller does not count.
-        solver: "daqp" or "qpoases".
-    """
-    stages, settings = problem_of_scenario(scenario)
-    stages = stages._replace(qp=Condensed(solver))
-    guess = first_guess(scenario, path_of(scenario))
-    memory = pack_array(rhc.init(stages, guess[:3], guess[3:], settings))
-    return rhec.Controller(rhc.build_phases(stages)["step"], memory)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy import linalg
 
 import rhec
 from notebooks.claims import run_sets
-from notebooks.studies import calibration, statistics
+from notebooks.studies import statistics
 from notebooks.studies.tables import interval_texts, signed
 from rhec import paper
 from rhec.simulation import offline
@@ -33,9 +33,8 @@ _MU = 0.9
 class _Entry(NamedTuple):
     """A standard deviation of an estimator's W that the rules pick differently."""
 
-    label: str
     estimator: str
-    state: str  # x (and y), theta, nu, mu or kappa
+    state: str  # of _PLACES
 
     @property
     def values(self):
@@ -45,12 +44,7 @@ class _Entry(NamedTuple):
         return {name: tuning.NOISES[self.estimator][name].sigma_w[place] for name in noises}
 
 
-ENTRIES = {
-    "ekf_x": _Entry("EKF: $\\sigma_x$ [m]", "ekf", "x"),
-    "ekf_theta": _Entry("EKF: $\\sigma_\\theta$ [rad]", "ekf", "theta"),
-    "rhe_theta": _Entry("RHE: $\\sigma_\\theta$ [rad]", "rhe", "theta"),
-    "rhe_kappa": _Entry("RHE: $\\sigma_\\kappa$ [-]", "rhe", "kappa"),
-}
+ENTRIES = {"ekf_x": _Entry("ekf", "x"), "rhe_kappa": _Entry("rhe", "kappa")}
 # Values that are driven between σ as printed and by prediction, and those whose runs are shown over
 # time.
 _BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
@@ -182,34 +176,6 @@ def sweep_of(name, seeds):
     values = (entry.values["printed"], *_BETWEEN[name], entry.values["prediction"])
     runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
     return {value: runs[value] for value in values[_SHOWN[name]]}, table
-
-
-def likelihood_profile(estimator, state, factors, seeds=3):
-    """How much less likely measurements become as one of the entries of W by prediction changes.
-
-    The standard deviation of the state is multiplied by the factors. The columns are sigma and
-    deviance, -2 log likelihood a sample above the least, on so many of the training runs.
-    """
-    runs = calibration.oracle_runs(calibration.TRAINING_SEEDS[:seeds])
-    samples = sum(len(run.columns["t_s"]) for run in runs)
-    noise = tuning.NOISES[estimator]["prediction"]
-    sigmas = [factor * noise.sigma_w[_PLACES[state][0]] for factor in factors]
-    sigma_w = [_with_entry(noise.sigma_w, state, sigma) for sigma in sigmas]
-    deviances = np.array(
-        [calibration.deviance(estimator, W, runs, sigma_v=noise.sigma_v) / samples for W in sigma_w]
-    )
-    return pd.DataFrame(dict(sigma=sigmas, deviance=deviances - deviances.min()))
-
-
-def likelihood_profiles(factors, seeds=3):
-    """`likelihood_profile` of all ENTRIES: {label: (table, σ as printed, σ by prediction)}."""
-    return {
-        entry.label: (
-            likelihood_profile(entry.estimator, entry.state, factors, seeds),
-            *entry.values.values(),
-        )
-        for entry in ENTRIES.values()
-    }
 
 
 # One interpretation at a time

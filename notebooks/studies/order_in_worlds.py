@@ -12,23 +12,18 @@ import argparse
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
-from notebooks.studies import order, which_worlds
-from notebooks.studies.parallel import map_runs, parallel_map
-from notebooks.studies.which_worlds import DATA, UNKNOWNS, UNUSED_SEED, Variant
-from rhec import Fault, paper
+from notebooks.studies import which_worlds
+from notebooks.studies.parallel import parallel_map
+from notebooks.studies.which_worlds import DATA, UNUSED_SEED, Variant
+from rhec import paper
 from rhec.simulation.offline import deviances
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
-from rhec.tracked_robot.path import Path
 
 NOISES = DATA / "posterior_noises.csv"
 ORDER_DRIVES = DATA / "order_drives.parquet"
-EFFECTS = DATA / "order_effects.csv"
-UNLISTED = DATA / "order_unlisted.csv"
-TABLE = DATA / "results" / "inverse_rules.csv"
 
 ESTIMATORS = ("rhe", "ekf")
 PREDICTION_OF_DEFAULT = "prediction, as in the default world"
@@ -244,233 +239,15 @@ def effective_worlds():
     return which_worlds.effective_number(which_worlds.posterior_table()["world"])
 
 
-# For readers
-
-
-def share_table(file=TABLE):
-    """In which share of the worlds in which the paper's numbers are possible the RHE is the better.
-
-    Args:
-        file: Table of `rule_rows`.
-
-    Returns:
-        DataFrame of texts, one row a rule: the share with its 95 % interval, over the worlds' own
-        drives, and on each of PATTERNS; the median of EKF / RHE; the median errors.
-    """
-    rows = {}
-    for rule, of_rule in pd.read_csv(file).groupby("rule for W", sort=False):
-        by_turns = of_rule.set_index("turns")
-        own = by_turns.loc[OWN]
-        interval = f"[{own['low']:.2f}, {own['high']:.2f}]"
-        row = {"the RHE is better in": f"{own['RHE better']:.2f} {interval} of the worlds"}
-        row["EKF / RHE, median"] = f"{own['EKF / RHE']:.2f}"
-        row["RHE, EKF, median [m]"] = f"{own['RHE [m]']:.4f}, {own['EKF [m]']:.4f}"
-        for turns in PATTERNS:
-            row[turns.replace("_", " ")] = f"{by_turns.loc[turns, 'RHE better']:.2f}"
-        rows[rule] = row
-    return pd.DataFrame(rows).T.rename_axis("W by")
-
-
-def in_words(file=TABLE):
-    """`share_table` as one sentence, of the rules with which both estimators drive.
-
-    Args:
-        file: Table of `rule_rows`.
-    """
-    table = pd.read_csv(file)
-    own = table[table["turns"] == OWN].set_index("rule for W")
-    parts = [
-        f"{100 * own.loc[rule, 'RHE better']:.0f} "
-        f"[{100 * own.loc[rule, 'low']:.0f}, {100 * own.loc[rule, 'high']:.0f}] % ({rule})"
-        for rule in ("consistent", "prediction", "tracking")
-    ]
-    return (
-        "Of the worlds in which the paper's numbers are possible, the RHE is the better in "
-        f"{parts[0]}, {parts[1]} and {parts[2]}."
-    )
-
-
-# Which unknowns decide
-
-EFFECT_ROWS = 256  # of each of the two samples, a power of 2
-EFFECT_RULES = ("consistent", "prediction", "tracking")
-_EFFECT_SEED = UNUSED_SEED + 2**21
-_EFFECT_VARIANTS = {f"{e}_{rule}": Variant(e, rule) for rule in EFFECT_RULES for e in ESTIMATORS}
-# A free W says nothing of an order in which W is picked by rule.
-_EFFECT_UNKNOWNS = tuple(name for name in UNKNOWNS if not name.startswith("sigma_"))
-_RESAMPLES = 500
-
-
-def effect_design(rows=EFFECT_ROWS):
-    """Two samples of the prior's worlds, and those in which one unknown is of the other: unit.
-
-    Returns:
-        (2 + d, rows, all unknowns): A, B, and for each of the d unknowns A with that of B.
-    """
-    d = len(_EFFECT_UNKNOWNS)
-    both = stats.qmc.Sobol(2 * d, rng=np.random.default_rng(2)).random(rows)
-    places = [UNKNOWNS.index(name) for name in _EFFECT_UNKNOWNS]
-    unit = np.full((2 + d, rows, len(UNKNOWNS)), 0.5)
-    unit[0][:, places] = both[:, :d]
-    unit[1][:, places] = both[:, d:]
-    for row, place in enumerate(places):
-        unit[2 + row] = unit[0]
-        unit[2 + row][:, place] = unit[1][:, place]
-    return unit
-
-
-def drive_effects(rows=EFFECT_ROWS):
-    """The order in each world of `effect_design`.
-
-    The k-th world of all samples has the k-th field, so that only one unknown differs between two
-    worlds that are compared. Errors above the tolerance count as the tolerance, since lost is lost:
-    two lost robots have no order.
-
-    Returns:
-        {rule: (2 + d, rows) ln(error of the EKF / that of the RHE)}.
-    """
-    unit = effect_design(rows)
-    fields = [
-        which_worlds.fields_of(world)
-        for of_sample in unit
-        for world in which_worlds.worlds_at(of_sample).to_dict("records")
-    ]
-    seeds = np.tile(np.arange(rows), len(unit))
-    drives = [
-        which_worlds.scenario(world, variant, _EFFECT_SEED + int(seed), paired=True)
-        for world, seed in zip(fields, seeds)
-        for variant in _EFFECT_VARIANTS.values()
-    ]
-    errors = np.array(map_runs(_error, drives)).reshape(len(unit), rows, len(_EFFECT_VARIANTS))
-    errors = np.minimum(errors, paper.TOLERANCE_M)
-    by_variant = dict(zip(_EFFECT_VARIANTS, np.moveaxis(errors, -1, 0)))
-    return {
-        rule: np.log(by_variant[f"ekf_{rule}"] / by_variant[f"rhe_{rule}"]) for rule in EFFECT_RULES
-    }
-
-
-def _error(run):
-    """The mean error of a drive, by raw GNSS [m]."""
-    return run.metrics["mean_error_m"]
-
-
-def effects(orders, seed=0):
-    """Total effects of the unknowns on the order, over the prior's worlds.
-
-    The total effect of an unknown is the share of the variance that is left if all others are known
-    (I. Sobol', Math. Comput. Simul. 55, 2001), here by scipy.stats.sobol_indices. It is found for
-    the sign of RHE - EKF and for ln(EKF / RHE).
-
-    Args:
-        orders: Of `drive_effects`.
-        seed: Of the bootstrap.
-
-    Returns:
-        DataFrame, one row a rule and unknown: both total effects with their 95 % intervals
-        (bootstrap over rows of the samples), and the share of worlds in which the RHE is the better
-        in the lower, middle and upper third of the unknown's prior.
-    """
-    unit = effect_design(next(iter(orders.values())).shape[1])
-    rows = []
-    for rule, log_ratio in orders.items():
-        indices = {
-            name: _total_effects(values, seed)
-            for name, values in dict(sign=np.sign(log_ratio), ratio=log_ratio).items()
-        }
-        better = (log_ratio[:2] > 0).ravel()
-        for k, unknown in enumerate(_EFFECT_UNKNOWNS):
-            thirds = np.minimum((unit[:2, :, UNKNOWNS.index(unknown)].ravel() * 3).astype(int), 2)
-            row = {"rule for W": rule, "unknown": unknown}
-            for name, (total, low, high) in indices.items():
-                row |= {f"of the {name}": total[k], f"{name} low": low[k], f"{name} high": high[k]}
-            for third, words in enumerate(("lower", "middle", "upper")):
-                row[f"RHE better, {words} third"] = better[thirds == third].mean()
-            rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def _total_effects(values, seed):
-    """Total effects (d,) of values (2 + d, rows), and the ends of their 95 % intervals."""
-    n = values.shape[1]
-    rng = np.random.default_rng(seed)
-    again = [_total_effect(values[:, rng.integers(n, size=n)]) for _ in range(_RESAMPLES)]
-    return _total_effect(values), *np.quantile(again, [0.025, 0.975], axis=0)
-
-
-def _total_effect(values):
-    func = dict(f_A=values[:1], f_B=values[1:2], f_AB=values[2:, None, :])
-    return np.ravel(stats.sobol_indices(func=func, n=values.shape[1]).total_order)
-
-
-# Choices that are in no list
-
-UNLISTED_FIELDS = 50
-
-
-def eased_rows(row_length_m, radius_m, rows=8, steps=6):
-    """Rows to alternate sides whose turns begin and end in steps of curvature: an open Path.
-
-    Of the length of a turn, a quarter at either end leads from 0 to the curvature of the middle.
-    With that of the half circle's mean, the turns still turn by π.
-    """
-    ramp = (np.arange(steps) + 0.5) / steps
-    shares = np.concatenate([ramp, [1.0] * 2 * steps, ramp[::-1]])
-    lengths = np.pi * radius_m / len(shares)
-    curvatures = shares / shares.mean() / radius_m
-    pieces = []
-    for row in range(rows):
-        side = 1 if row % 2 == 0 else -1
-        pieces += [(row_length_m, 0.0), *((float(lengths), float(side * c)) for c in curvatures)]
-    return Path.from_segments(pieces)
-
-
-def unlisted_cases():
-    """{choice: fields of Scenario}, of choices that are neither unknowns nor interpretations.
-
-    A track width that is b' in the robot and b in truth scales κ by b'/b: commands and encoders
-    have b', the ground has b. A radius of the sprockets that is off scales μ and κ alike. Both are
-    exact for the mean; an antenna that is ahead of the middle by a is a centre of rotation at -a.
-    """
-    usual = Scenario()
-    late = {
-        f"positions {delay_s:g} s late": dict(faults=(Fault(kind="latency", delay_s=delay_s),))
-        for delay_s in (0.1, 0.2, 0.4)
-    }
-    traction = {"mu": (usual.mu_mean, usual.mu_deviation)}
-    traction["kappa"] = (usual.kappa_mean, usual.kappa_deviation)
-
-    def scaled(**factors):
-        return {
-            f"{name}_{of}": factor * value
-            for name, factor in factors.items()
-            for of, value in zip(("mean", "deviation"), traction[name])
-        }
-
-    path = eased_rows(usual.row_length_m, usual.headland_radius_m)
-    return (
-        {"as by default": {}}
-        | late
-        | {
-            "tracks 5 % farther apart than believed": scaled(kappa=1 / 1.05),
-            "tracks 3 % nearer than believed": scaled(kappa=1.03),
-            "sprockets 2 % larger than believed": scaled(mu=1.02, kappa=1.02),
-            "sprockets 5 % smaller than believed": scaled(mu=0.95, kappa=0.95),
-            "antenna 0.2 m ahead": dict(rotation_centre_m=-0.2),
-            "antenna 0.2 m behind": dict(rotation_centre_m=0.2),
-            "headlands that begin gently": dict(path=path),
-        }
-    )
-
-
 # Making the files
 
 
 def main():
-    """Fit the noise in each of the posterior's worlds, drive them by each rule, and all else."""
+    """Fit the noise in each of the posterior's worlds, and drive them by each rule."""
     parser = argparse.ArgumentParser(
         "python -m notebooks.studies.order_in_worlds", description=__doc__
     )
-    parts = ("noises", "drives", "effects", "unlisted")
+    parts = ("noises", "drives")
     parser.add_argument("part", nargs="*", default=parts, help=f"of {parts}; without any, all")
     chosen = parser.parse_args().part
     worlds = which_worlds.posterior_worlds()
@@ -478,11 +255,6 @@ def main():
         fitted_noises(worlds).to_csv(NOISES, index=False)
     if "drives" in chosen:
         which_worlds.write(drive_by_rule(with_noises(worlds, pd.read_csv(NOISES))), ORDER_DRIVES)
-    if "effects" in chosen:
-        effects(drive_effects()).to_csv(EFFECTS, index=False, float_format="%.4g")
-    if "unlisted" in chosen:
-        unlisted = order.one_variation_at_a_time(UNLISTED_FIELDS, unlisted_cases())
-        unlisted.to_csv(UNLISTED, index=False, float_format="%.5g")
 
 
 if __name__ == "__main__":

@@ -224,7 +224,7 @@ def share_interval(k, n, confidence=CONFIDENCE):
         low = B_0.025(k, n - k + 1),  high = B_0.975(k + 1, n - k).
 
     Args:
-        k: How often it was so.
+        k: How often it was so; a share of an effective number n need not make it whole.
         n: Of how many cases, at least one.
         confidence: With which the interval holds the truth.
 

@@ -92,15 +92,6 @@ def replay(machine, program, log):
     return pd.read_csv(io.StringIO(run(machine, program, log).stdout))
 
 
-def times(machine, program, log, repetitions=5):
-    """Times [µs] that `times` measures, (samples, 4), phases as in PHASES.
-
-    Each is the least of `repetitions` runs; the first sample is left out.
-    """
-    printed = (io.StringIO(run(machine, program, log).stdout) for _ in range(repetitions))
-    return np.min([np.loadtxt(text, delimiter=",", skiprows=2) for text in printed], axis=0) / 1e3
-
-
 def nonsense(machine, program, samples=20_000, seed=0):
     """Run `fuzz`, which feeds an export with invalid measurements; a table of one row.
 

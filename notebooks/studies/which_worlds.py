@@ -31,7 +31,7 @@ from scipy import stats
 
 from notebooks.studies import abc_regression
 from notebooks.studies.parallel import map_runs
-from notebooks.studies.statistics import CONFIDENCE
+from notebooks.studies.statistics import share_interval
 from rhec import paper
 from rhec.files import replacing
 from rhec.simulation.campaigns import store
@@ -381,12 +381,10 @@ def measured(run):
     metrics = run.metrics
     settled_s = metrics["settling_time_s"]
     near = (run.columns["mu_hat"] >= 0.9) & (run.columns["kappa_hat"] >= 0.9)
-    excursions, row_m = count_excursions(run, 0.0 if np.isnan(settled_s) else settled_s)
     return dict(
         error=metrics["mean_error_m"],
         violations=metrics["violations"],
-        excursions=excursions,
-        row_m=row_m,
+        excursions=count_excursions(run, 0.0 if np.isnan(settled_s) else settled_s),
         near=np.mean(near),
         peak=metrics["omega_peak_radps"] / paper.OMEGA_MAX_RADPS,
         settled=_NEVER_S if np.isnan(settled_s) else settled_s,
@@ -395,13 +393,11 @@ def measured(run):
 
 
 def count_excursions(run, settled_s):
-    """How often a robot that has arrived leaves the tolerance by raw GNSS, on how many metres."""
+    """How often a robot that has arrived leaves the tolerance by raw GNSS."""
     c = run.columns
     counted = c["on_straight"] & (c["t_s"] >= settled_s + SETTLING_SAMPLES * paper.DT_S)
     beyond_s = c["t_s"][counted & (c["error_m"] > paper.TOLERANCE_M)]
-    excursions = len(beyond_s[:1]) + np.sum(np.diff(beyond_s) > _EXCURSION_S)
-    steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
-    return int(excursions), float(steps_m[counted[1:]].sum())
+    return int(len(beyond_s[:1]) + np.sum(np.diff(beyond_s) > _EXCURSION_S))
 
 
 def drive(worlds, first_seed, variants=None, fields=FIELDS, paired=False):
@@ -858,14 +854,8 @@ def shares(statistics, effective=None, fields=FIELDS):
 
 
 def effective_share(value, n):
-    """A share with Clopper and Pearson's 95 % interval, n the effective number of trials.
-
-    Clopper and Pearson's ends are quantiles of beta distributions, which need no whole numbers.
-    """
-    tail = (1 - CONFIDENCE) / 2
-    low = stats.beta.ppf(tail, value * n, (1 - value) * n + 1) if value else 0.0
-    high = stats.beta.ppf(1 - tail, value * n + 1, (1 - value) * n) if value < 1 else 1.0
-    return value, low, high
+    """A share with its 95 % interval (`statistics.share_interval`), n the effective trials."""
+    return value, *share_interval(value * n, n)
 
 
 def effective_number(worlds):

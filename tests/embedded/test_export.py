@@ -132,6 +132,15 @@ def test_a_rejected_yaw_rate_is_no_reference_as_a_missing_one_is_none(robot, mea
     np.testing.assert_allclose(commands[0], commands[1], rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.nightly
+def test_times_has_a_row_of_four_phases_for_each_sample_after_the_first(exported, built):
+    machine, objects = built("paper")
+    program = toolchain.program(machine, exported("paper"), "times", objects)
+    printed = toolchain.run(machine, program, exported("paper") / "log.csv").stdout
+    taken = np.loadtxt(printed.splitlines(), delimiter=",", skiprows=2)
+    assert taken.shape == (len(log_of(exported("paper"))) - 1, 4) and (taken >= 0).all()
+
+
 def test_the_closest_point_equals_path_project():
     rng = np.random.default_rng(2)
     for target in (

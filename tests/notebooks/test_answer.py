@@ -112,6 +112,12 @@ def test_an_order_that_turns_with_the_path_is_said_with_the_cases_in_which_it_do
     assert said.startswith("No: which is better cannot be judged") and "EKF is lost" in said
 
 
+def cell_of(table, quantity):
+    """The cell of a quantity, with W as printed, beside the paper's."""
+    cells = answer.paper_beside_ours(table)
+    return cells.set_index(cells.columns[0]).loc[quantity, "W as printed"]
+
+
 @pytest.mark.parametrize(
     "error, single, word, shown",
     [
@@ -129,7 +135,7 @@ def test_each_word_on_a_number_is_reached(error, single, word, shown):
         of_rhe = (table["estimator"] == "RHE") & (table["quantity"] == ERROR)
         table.loc[of_rhe, ["p5", "p95"]] = single
     assert answer.Numbers(table).number("RHE", ERROR, "printed") == word
-    assert f"RHE: as printed {shown} (" in answer.scenario_b_in_words(table)
+    assert cell_of(table, "Mean error, RHE [m]").startswith(f"{shown}: {error}")
     assert (answer.VERDICTS[shown] == FAILS) == (shown == "larger")
 
 
@@ -137,9 +143,8 @@ def test_each_word_on_a_number_is_reached(error, single, word, shown):
 def test_never_is_judged_by_the_share_of_drives_without_a_violation(clean, word):
     table = scenario_b(AS_IN_THE_PAPER, clean)
     assert answer.Numbers(table).never("printed") == word
-    assert f"Drives without a violation: RHE: as printed {100 * clean:.0f} %" in (
-        answer.scenario_b_in_words(table)
-    )
+    shown = cell_of(table, "RHE: drives without a violation")
+    assert shown == f"{word}: {100 * clean:.0f} %"
 
 
 @pytest.mark.parametrize("low, shown", [(-0.1, "[0, 0.500]"), (0.05, "[0.0500, 0.500]")])

@@ -60,15 +60,6 @@ def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
     ) and np.all(curve[1] < straight[1])
 
 
-def test_the_likelihood_profile_is_least_at_the_calibrated_noise(virtual_machine):
-    # Of the yaw: the noise of the position is at the least that the search tries.
-    table = interpretations.likelihood_profile("ekf", "theta", (0.2, 1.0, 5.0), seeds=1)
-    assert table["deviance"].idxmin() == 1 and table["deviance"].min() == 0
-    assert list(table["sigma"]) == pytest.approx(
-        [factor * tuning.NOISES["ekf"]["prediction"].sigma_w[2] for factor in (0.2, 1, 5)]
-    )
-
-
 @pytest.fixture(scope="module")
 def moved(virtual_machine):
     with pytest.MonkeyPatch.context() as patch:

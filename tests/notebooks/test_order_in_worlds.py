@@ -1,5 +1,5 @@
-"""RHE or EKF in the posterior's worlds: the fit finds noise that is known, tables count as they
-say, and total effects are the known ones.
+"""RHE or EKF in the posterior's worlds: the fit finds noise that is known, and tables count as they
+say.
 """
 
 import numpy as np
@@ -9,7 +9,6 @@ import pytest
 import rhec
 from notebooks.studies import interpretations, order, order_in_worlds, which_worlds
 from notebooks.studies.statistics import HOLDS, LOST
-from rhec import paper
 from rhec.simulation import offline
 from rhec.tracked_robot import tuning
 
@@ -117,65 +116,10 @@ def test_shares_of_worlds_are_counted_by_their_means():
     assert row["low"] < 0.75 < row["high"]
 
 
-def test_the_sentence_has_the_shares_of_the_worlds_own_paths(tmp_path):
-    errors = same_on_all_paths([0.02] * 4, [0.04] * 4)
-    errors |= {("right", "ekf"): [0.01] * 4}
-    file = tmp_path / "table.csv"
-    order_in_worlds.rule_rows(drives_of(errors), 4).to_csv(file, index=False)
-    assert order_in_worlds.in_words(file).count("100 [40, 100] %") == 3
-    table = order_in_worlds.share_table(file)
-    assert [*table.index] == [*order_in_worlds.RULES]
-    assert (table["right"] == "0.00").all() and (table["left"] == "1.00").all()
-    assert (table["figure of eight"] == "1.00").all()
-
-
-def test_total_effects_are_the_known_ones():
-    """Oracle: of 3 u + v, u and v uniform, the total effects are 0.9 and 0.1."""
-    unit = order_in_worlds.effect_design(64)
-    u, v = (unit[..., which_worlds.UNKNOWNS.index(name)] for name in ("speed_mps", "turns"))
-    values = 3 * (u - 0.5) + (v - 0.5)
-    found = order_in_worlds.effects({"tracking": values}).set_index("unknown")
-    total = found["of the ratio"]
-    assert total["speed_mps"] == pytest.approx(0.9, abs=0.15)
-    assert total["turns"] == pytest.approx(0.1, abs=0.05)
-    assert total.drop(["speed_mps", "turns"]).abs().max() < 1e-12
-    thirds = found.loc["speed_mps", [f"RHE better, {third} third" for third in ("lower", "upper")]]
-    assert thirds.iloc[0] < 0.1 and thirds.iloc[1] > 0.9
-
-
-def test_effects_are_those_of_the_ratio_and_a_lost_robot_counts_as_at_the_tolerance(monkeypatch):
-    def errors(function, drives):
-        ekf_m = dict(consistent=0.06, prediction=0.01, tracking=5.0)
-        return [0.03 if each.estimator == "rhe" else ekf_m[each.process_noise] for each in drives]
-
-    monkeypatch.setattr(order_in_worlds, "map_runs", errors)
-    found = order_in_worlds.drive_effects(rows=2)
-    ratios = dict(consistent=2.0, prediction=1 / 3, tracking=paper.TOLERANCE_M / 0.03)
-    for rule, ratio in ratios.items():
-        np.testing.assert_allclose(found[rule], np.log(ratio))
-        assert found[rule].shape == order_in_worlds.effect_design(2).shape[:2]
-
-
-def test_only_one_unknown_differs_between_the_worlds_of_a_pair():
-    unit = order_in_worlds.effect_design(8)
-    for k, sample in enumerate(unit[2:]):
-        differs = (sample != unit[0]).any(axis=0)
-        assert differs.sum() == 1, k
-
-
-def test_headlands_that_begin_gently_turn_by_half_a_turn():
-    path = order_in_worlds.eased_rows(30.0, 7.8, rows=4)
-    places = np.arange(0.0, path.length_m, 0.01)
-    poses, curvatures = path.poses(places)
-    assert poses[-1][2] == pytest.approx(0.0, abs=1e-2)
-    assert np.abs(curvatures).max() < paper.OMEGA_MAX_RADPS * 0.95 / paper.SPEED_MPS
-    assert np.abs(np.diff(curvatures)).max() < 0.25 / 7.8
-
-
 def test_every_choice_is_a_scenario_and_another_one_than_the_default():
     usual = rhec.Scenario()
     listed = {name: fields for name, (_, fields, *_) in interpretations.INTERPRETATIONS.items()}
-    for choices in (order.VARIATIONS, order_in_worlds.unlisted_cases(), listed):
+    for choices in (order.VARIATIONS, listed):
         for name, fields in choices.items():
             assert (rhec.Scenario(**fields) == usual) == (name == "as by default"), name
 

@@ -195,7 +195,7 @@ def test_the_two_drives_are_on_one_soil_at_different_times_with_the_worlds_own_w
     assert rhe.scenario.sigma_w == w and rhe.scenario.sigma_v == paper.SIGMA_V
 
 
-def test_excursions_are_counted_with_their_exposure(world):
+def test_excursions_are_counted(world):
     """A robot that leaves the tolerance for 3 samples, returns, and leaves it 4 s later."""
     printed = which_worlds.VARIANTS["rhe_printed"]
     run = rhec.simulate(which_worlds.scenario(world | dict(duration_s=30.0), printed, 7))
@@ -204,10 +204,7 @@ def test_excursions_are_counted_with_their_exposure(world):
     c["on_straight"][:] = True
     for sample in (60, 61, 62, 82):
         c["error_m"][sample] = 0.2
-    excursions, row_m = which_worlds.count_excursions(run, 5.0)
-    late = c["t_s"] >= 10.0
-    steps_m = np.hypot(np.diff(c["x_m"]), np.diff(c["y_m"]))
-    assert excursions == 2 and row_m == pytest.approx(steps_m[late[1:]].sum())
+    assert which_worlds.count_excursions(run, 5.0) == 2
 
 
 def test_a_prior_on_the_printed_w_is_what_it_says():

@@ -7,12 +7,12 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
+from condensed_rhc import controller
 from helpers import untraceable
 from loops import LOOPS, SMALL, unlike
 
 import rhec
 from notebooks.rivals import by_name
-from notebooks.studies import condensed
 from rhec.core import runner
 from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes, shared_steps
@@ -137,7 +137,7 @@ def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
     good = [*unlike(SMALL)][:2]
     others = [
         dataclasses.replace(SMALL, path=untraceable()),
-        dataclasses.replace(SMALL, controller=condensed.controller(SMALL, "daqp")),
+        dataclasses.replace(SMALL, controller=controller(SMALL, "daqp")),
     ]
     alone = []
     simulate = campaigns.simulate

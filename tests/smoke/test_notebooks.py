@@ -39,15 +39,14 @@ SMALL = {
         dict(looks=[10], posterior=3, world_fields=3), ("claims", "claims_coverage")
     ),
     "08_interpretations": Small(
-        dict(seeds=2, paired_seeds=4, order_fields=4, training_seeds=1),
-        ("audit_interpretations", "audit_order"),
+        dict(seeds=2, paired_seeds=4, order_fields=4), ("audit_interpretations", "audit_order")
     ),
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
     "further/traction_worth": Small(
-        dict(kappas=[0.8], map_fields=4, map_training=1, seeds=4, consistency_runs=4)
+        dict(kappas=[0.8], map_fields=4, map_training=1, consistency_runs=4)
         | dict(unknown_fields=2, unknown_training=1, posterior_worlds=2),
-        ("table_traction_worth", "table_consistency"),
+        ("table_unknowns", "table_unknowns_by_rule", "table_consistency"),
     ),
     "01_tutorial": Small(dict(seeds=2)),
     "04_scenario_b": Small(dict(seeds=8, beside=4, fields=4), ("table_scenario_b",)),
