@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec.logs.finding import refused
+from rhec.logs.finding import passed, refused
 from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
 from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import MEASUREMENTS
@@ -158,7 +158,7 @@ def _never_turns(log, share):
         fact = f"the log's {column} is {omega.median():.3g} {but}: nothing fills this column"
         remedy = (
             f"Take {column} from another topic, or from the speeds of both tracks with their "
-            "distance (--track-width-m)."
+            f"distance, {passed('track_width_m')}."
         )
     return share, refused(fact, "empty_yaw_rate", remedy)
 

@@ -20,6 +20,7 @@ from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
 from rhec.logs.column_names import OTHER_NAMES, column_of, unit_of
+from rhec.logs.finding import passed
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -92,8 +93,8 @@ def read(
         absent = [name for name in columns or {} if name not in log]
         if absent:
             raise ValueError(
-                f"columns[{absent[0]!r}] was {columns[absent[0]]!r}; no file has it, together they "
-                f"have {', '.join(log)}"
+                f"{passed(f'columns[{absent[0]!r}]')} was {columns[absent[0]]!r}; no file has it, "
+                f"together they have {', '.join(log)}"
             )
     else:
         log = _read_file(path, *given)
@@ -116,7 +117,9 @@ def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
     file = _checked_path(path)
     is_bag = file.suffix in SUFFIXES or file.is_dir()
     if topics is not None and not is_bag:
-        raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
+        raise ValueError(
+            f"{passed('topics')} was {topics!r}; only a bag has topics, and log was {str(file)!r}"
+        )
     try:
         if is_bag:
             log, inferred = read_bag(file, topics, wheel_radius_m, columns)
@@ -139,7 +142,8 @@ def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
         elif column.startswith("-") and column[1:] in log:
             log[name] = -pd.to_numeric(log[column[1:]], errors="coerce")
         elif is_whole:
-            raise ValueError(f"columns[{name!r}] was {column!r}; the log has {', '.join(log)}")
+            named = passed(f"columns[{name!r}]")
+            raise ValueError(f"{named} was {column!r}; the log has {', '.join(log)}")
     log = _in_seconds(log, inferred)
     log.attrs["inferred"] = inferred
     return log
@@ -194,8 +198,8 @@ def _without_multiplier(log, multiplier, inferred):
     column = "yaw_rate_radps"
     if column not in log:
         raise ValueError(
-            f"wheel_separation_multiplier was {multiplier!r}; it is of {column}, and the log has "
-            f"{', '.join(map(str, log))}"
+            f"{passed('wheel_separation_multiplier')} was {multiplier!r}; it is of {column}, and "
+            f"the log has {', '.join(map(str, log))}"
         )
     inferred["yaw rate"] = f"times {multiplier:g}, by which the driver had multiplied the width"
     return log.assign(**{column: multiplier * pd.to_numeric(log[column], errors="coerce")})

@@ -19,6 +19,7 @@ import pandas as pd
 
 from rhec import paper
 from rhec.logs.column_names import DECLARED, missing_columns
+from rhec.logs.finding import passed
 from rhec.simulation.columns import (
     MEANS,
     MEASUREMENTS,
@@ -358,7 +359,8 @@ def _recorded_width(log):
         width_m = float(widths[np.abs(omega) > _TURNING_RADPS].median())
         if width_m > 0:
             return width_m, f"by the log's {', '.join(TRACKS)} and {yaw_rate}"
-    return paper.TRACK_WIDTH_M, "the paper's, because none is given and no track speeds tell it"
+    unknown = f"the paper's, because neither {passed('track_width_m')} nor track speeds tell it"
+    return paper.TRACK_WIDTH_M, unknown
 
 
 def _drop_implausible(values, columns, limits):

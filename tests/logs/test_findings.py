@@ -194,7 +194,7 @@ WRONG = {
     "segments that are lists": (LOG.assign(segment=[[1]] * 1500), "segment should be one column"),
     "no column of speeds": (
         LOG.drop(columns="speed_mps"),
-        "no column speed_mps; .* give a track_w",
+        "no column speed_mps; .* give track_w",
     ),
     "no numbers": (LOG.assign(speed_mps="fast"), "column speed_mps had no number in it"),
     "a column twice": (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m; it should"),
@@ -213,11 +213,11 @@ WRONG = {
     "no position that counts": (LOG.assign(pos_ok=0), "pos_ok is true in none of 1500 rows"),
     "positions by GPS time": (
         in_rows_of_their_own(LOG, 18.0),
-        "18 s ahead of .*, as GPS .*delay-s 18 corr",
+        "18 s ahead of .*, as GPS .*; position_delay_s=18 corr",
     ),
     "positions 37 s behind": (
         in_rows_of_their_own(LOG, -37.0),
-        "37 s behind that of .*delay-s -37 corr",
+        "37 s behind that of .*; position_delay_s=-37 corr",
     ),
     "positions 0.4 s late": (late(LOG, 4), "y_m come 0.39 ± 0.12 s later than"),
     "positions 0.3 s early": (late(LOG, -3), "seem to come 0.31 ± 0.11 s later than x_m"),

@@ -124,15 +124,15 @@ BAGS = {
     "no radius": (
         drive,
         dict(track_width_m=TRACK_WIDTH_M),
-        "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need the wheel_radius_m "
-        "and then the track_width_m (--wheel-radius-m, --track-width-m)",
+        "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need it and then "
+        "track_width_m",
     ),
     "no track width": (
         drive,
         dict(wheel_radius_m=RADIUS_M),
-        [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give a track_width_m "
-         "(--track-width-m) for v_left_mps, v_right_mps; it has t_s, latitude, longitude, "
-         "altitude, v_left_mps, v_right_mps, x_m, y_m."],
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give track_width_m for v_left_mps, "
+         "v_right_mps; it has t_s, latitude, longitude, altitude, v_left_mps, v_right_mps, x_m, "
+         "y_m."],
     ),
     "odometry alone": (
         partial(of_odometry, "odom"),
