@@ -3,7 +3,7 @@
     python data/fetch_recordings.py             # four published logs, by their digests
     python -m notebooks.further.recorded.page   # what `rhec log` says of them
 
-`python -m notebooks.further.transfer` makes the table of many noise seeds, which takes an hour, and
+`python -m notebooks.further.transfer` makes the table of many noise seeds, and
 `python -m notebooks.further.recorded.verdicts` those of simulated drives. All of them go into
 figures/, where `python -m docs.site.check_figures` compares them with data/results/.
 """
