@@ -23,7 +23,8 @@ OTHER_NAMES = {
 }
 DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
 KNOWN = (*OTHER_NAMES, "sec", "nanosec", DECLARED, *RECORDED_TRUTH.values())  # all that is read
-_UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
+_UNITS = "m|s|ms|us|ns|m/s|mps|km/h|kmh|kph|mph|knots|rad/s|radps|rad_s|deg/s|dps"
+_UNIT = re.compile(rf"[ _(\[]+({_UNITS})[)\]]*$")
 _RPM = re.compile(r"(^|_)rpm(_|$)")
 _INCREMENT = re.compile(r"(^|_)(d|delta_?)(x|y|s|t|theta|yaw|dist\w*)(_|$)|^distance$|^odometer$")
 _LONGEST = 300  # characters of a list of columns in a message

@@ -267,6 +267,8 @@ def check_path(recording):
     """Find wrong units, signs and axes, and positions that are late by up to two seconds."""
     columns = recording.columns
     speed, yaw_rate = (columns[name] for name in _ENCODERS)
+    if yaw_rate == speed:
+        yaw_rate += f" by {passed('track_width_m')}"
     place = ", ".join(columns[name] for name in _POSITION)
     motion = _motion(recording.rows)
     if motion is None:

@@ -30,6 +30,7 @@ _MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
 _BEGIN = 1024  # bytes, of which one is 0 in a picture, an archive or a table of another kind
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
+_QUOTED_NUMBER = re.compile(r'"([-+\d.,]+)"')
 # A mark of thousands, then a mark of decimals, such as 1,234.5 and 1.234,5.
 _THOUSANDS = {
     ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
@@ -313,11 +314,13 @@ def _names_among(head, is_remark):
 
 def _marks(lines, separator):
     """The marks of decimals and of thousands, or None, in lines with this separator."""
+    if separator == ",":  # numbers with a comma are in quotes then
+        lines = [entry for line in lines for entry in _QUOTED_NUMBER.findall(line)]
     for mark, pattern in _THOUSANDS.items():
-        if separator != "," and any(pattern.search(line) for line in lines):
+        if any(pattern.search(line) for line in lines):
             return "," if mark == "." else ".", mark
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in lines)
-    return "," if separator != "," and has_commas else ".", None
+    return "," if has_commas else ".", None
 
 
 def _read_parquet(file, columns):
@@ -377,8 +380,10 @@ def _in_seconds(log, inferred):
     begin_s = 0.0
     if pd.api.types.is_datetime64_any_dtype(time) or numbers.isna().all():
         stamps = pd.to_datetime(time, format="ISO8601", utc=True, errors="coerce")
+        if stamps.isna().all():  # of which a replay says what it has instead
+            return log.assign(t_s=time)
         t_s = (stamps - stamps.min()).dt.total_seconds()
-        begin_s = stamps.min().timestamp() if stamps.notna().any() else 0.0
+        begin_s = stamps.min().timestamp()
         unit = "ISO 8601"
     else:
         unit = _unit(name, numbers)

@@ -186,7 +186,7 @@ def _traction_line(summary):
     drift = summary.traction.loc["drift"]
     if drift["low"] > 0 or drift["high"] < 0:
         told.append(f"drift {_plus_minus(drift)} rad/m")
-    if not np.isfinite(summary.traction.loc["κ", "value"]):
+    if not 0 < summary.traction.loc["κ", "value"] < _MOST_TRACTION:
         return "   ".join(told)
     multiplier, width = (
         summary.parameters.loc[name, "value"]

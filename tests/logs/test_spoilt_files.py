@@ -77,6 +77,12 @@ def test_one_track_in_both_columns_is_named():
     assert said.fact.startswith("the log's v_left_mps, v_right_mps are as fast as each other in a")
 
 
+def test_a_track_width_in_cm_is_named():
+    log = LOG[["t_s", "x_m", "y_m", *TRACKS]]
+    (said,) = rhec.doctor(log, track_width_m=100 * TRACK_WIDTH_M).findings
+    assert "v_right_mps by track_width_m may be in another unit" in said.fact
+
+
 def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
     """Messages of a receiver and of joints, at 5 Hz."""
     messages = []
