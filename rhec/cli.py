@@ -365,9 +365,17 @@ def _reading():
     return options
 
 
-def _columns_option(names):
-    """The option --columns of {column of a recording: name in the file}, as a shell takes it."""
-    return shlex.join(["--columns", *(f"{ours}={theirs}" for ours, theirs in names.items())])
+def _as_option(argument, value=None):
+    """An argument of a function as a shell takes it, or an entry of it, as `columns['x_m']`."""
+    name, _, entry = argument.partition("[")
+    words = [f"--{name.replace('_', '-')}", *([entry[1:-2]] if entry else [])]
+    if isinstance(value, dict):
+        words += [f"{ours}={theirs}" for ours, theirs in value.items()]
+    elif isinstance(value, tuple):
+        words += value
+    elif value is not None and value is not True:
+        words.append(str(value))
+    return shlex.join(words)
 
 
 def _renamed(pair):
@@ -415,10 +423,10 @@ def log(
             and the estimator that was judged as C in the folder C.
         overwrite: Replace files of these names.
     """
-    from rhec.logs.column_names import RENAMING
+    from rhec.logs.finding import PASSED
     from rhec.logs.outputs import FILES, write_summary
 
-    RENAMING.set(_columns_option)
+    PASSED.set(_as_option)
     if not files:
         raise ValueError("rhec log had no file; it should be rhec log FILE")
     if output:

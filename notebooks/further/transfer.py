@@ -10,12 +10,16 @@ by the likelihood of their innovations, with the same number of evaluations for 
 
     python -m notebooks.further.transfer [SEEDS]
 
-makes the table of docs/recorded_robots.md in an hour, from the logs in data/recordings, which
+makes the table of docs/recorded_robots.md on all cores, from the logs in data/recordings, which
 `python data/fetch_recordings.py` fetches.
 """
 
 import contextlib
+import itertools
+import multiprocessing
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +31,7 @@ from notebooks.studies.statistics import over_seeds
 from rhec import paper
 from rhec.logs.calibration import calibrate
 from rhec.logs.recording import prepare
-from rhec.logs.replay import predictor
-from rhec.simulation.columns import ESTIMATE, LEVER_ARM, RECORDED_SENSORS
-from rhec.tracked_robot import slipping
-from rhec.tracked_robot.kinematics import QUANTITIES
+from rhec.simulation.columns import RECORDED_SENSORS
 
 NOISE_M = 0.02  # on recorded positions
 YAW_ERROR_RAD = 0.3  # of the first yaw
@@ -42,7 +43,6 @@ _MOST = 10.0
 _FIRST = 0.01
 _EVALUATIONS = 40
 _UNUSABLE = 1e12  # the objective where a filter diverges
-_SLIPPING = slipping.SLIPPING.model
 _SCORES = dict(
     yaw_rms_rad="yaw RMS [rad]",
     position_rms_m="position RMS [m]",
@@ -50,7 +50,6 @@ _SCORES = dict(
     inside_95="yaw in its 95 %",
     bad_unsure="bad yaw unsure",
     good_unsure="good yaw unsure",
-    ahead_rms_m="2 s ahead [m]",
     mu_difference="μ - regression",
     kappa_difference="κ - regression",
 )
@@ -66,11 +65,9 @@ def _noisy(log, seed):
 
 
 def _rhe(log, fields, smooth):
-    """Samples of a noisy log's replay, and how far off their predictions 2 s ahead are [m]."""
+    """Samples of a noisy log's replay."""
     options = dict(noise_m=0.0, yaw_error_rad=YAW_ERROR_RAD, trust_log=True, smooth=smooth)
-    samples = scores.perturbed_replay(log, 0, **options, **fields)
-    predict = predictor(_SLIPPING, (*QUANTITIES, *slipping.LEVER_ARM))
-    return samples, scores.ahead_rms_m(samples, predict, [*ESTIMATE, *LEVER_ARM])
+    return scores.perturbed_replay(log, 0, **options, **fields)
 
 
 # What is searched of each rival: its sigma_v, the walks of its parameters and its slip, without the
@@ -90,20 +87,17 @@ def _settings(title, half_m, sigma):
     return dict(V=np.square(sigma[:4]), W=W, c=[*sigma[-4:], 0.0, 2 * half_m, paper.DT_S])
 
 
-def _filtered(title, half_m, part, sigma):
-    """Samples of a rival on one segment."""
+def _filtered(run, title, half_m, part, sigma):
+    """What a function of `rivals` gives of a rival on one segment."""
     yaw_rad = part["theta_rad"].iloc[0] + YAW_ERROR_RAD
     settings = _settings(title, half_m, sigma)
-    return rivals.run(rivals.RIVALS[title], settings, part, half_m, yaw_rad)
+    return run(rivals.RIVALS[title], settings, part, half_m, yaw_rad)
 
 
 def _rival(title, half_m, parts, sigma):
-    """Samples of a rival, and how far off their predictions 2 s ahead are [m]."""
-    samples = pd.concat(
-        [_filtered(title, half_m, part, sigma) for part in parts], ignore_index=True
-    ).assign(ok=True)
-    how = rivals.replay_of(rivals.RIVALS[title], {})
-    return samples, scores.ahead_rms_m(samples, how.predict, how.hats)
+    """Samples of a rival."""
+    samples = [_filtered(rivals.run, title, half_m, part, sigma) for part in parts]
+    return pd.concat(samples, ignore_index=True).assign(ok=True)
 
 
 def _tuned(title, log):
@@ -114,7 +108,7 @@ def _tuned(title, log):
     counted = [scores.distance_driven(part) >= scores.FROM_M for part in parts]
 
     def objective(sigma):
-        deviances = (_filtered(title, half_m, part, sigma)["deviance"] for part in parts)
+        deviances = (_filtered(rivals.deviances, title, half_m, part, sigma) for part in parts)
         value = sum(deviance[rows].sum() for deviance, rows in zip(deviances, counted))
         return value if np.isfinite(value) else _UNUSABLE
 
@@ -171,9 +165,9 @@ def _middle(calibrations):
     return {name: tuple(value.tolist()) for name, value in fields.items()}
 
 
-def _row(log, estimator, tuned, seed, samples, ahead_m):
+def _row(log, estimator, tuned, seed, samples):
     """A row of `trials`: who was tried on what, and its scores."""
-    values = scores.score(samples) | dict(ahead_rms_m=ahead_m)
+    values = scores.score(samples)
     about = dict(log=log, estimator=estimator, tuned=tuned, seed=seed)
     return about | {name: values.get(name, np.nan) for name in _SCORES}
 
@@ -181,22 +175,10 @@ def _row(log, estimator, tuned, seed, samples, ahead_m):
 def _trials_of_rhe(log, noisy, fields, seed, name="RHE"):
     """Rows of the RHE on a noisy log, also smoothed; fields: {way of tuning: its numbers}."""
     return [
-        _row(log, title, tuned, seed, *_rhe(noisy, numbers, smooth))
+        _row(log, title, tuned, seed, _rhe(noisy, numbers, smooth))
         for title, smooth in ((name, False), (f"{name}, smoothed", True))
         for tuned, numbers in fields.items()
     ]
-
-
-def trials_with_gyro(logs, seeds):
-    """Rows as of `trials`, of the RHE on those logs that have a gyro."""
-    rows = []
-    for name, log in logs.items():
-        if {*_SENSORS} & {*log}:
-            log = page.aligned(log)
-            fields = dict(itself=dict(calibrate(_noisy(log, _TUNING_SEED))), shipped={})
-            for seed in seeds:
-                rows += _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
-    return pd.DataFrame(rows)
 
 
 def _trials_of_rivals(log, noisy, sigmas, rest, seed):
@@ -208,8 +190,28 @@ def _trials_of_rivals(log, noisy, sigmas, rest, seed):
     for title in _SEARCHED:
         others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
         for tuned, sigma in (("itself", sigmas[title][log]), ("others", tuple(others))):
-            rows.append(_row(log, title, tuned, seed, *_rival(title, half_m, parts, sigma)))
+            rows.append(_row(log, title, tuned, seed, _rival(title, half_m, parts, sigma)))
     return rows
+
+
+def _in_parallel(tasks):
+    """What functions without arguments return, in their order."""
+    spawn = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
+    with ProcessPoolExecutor(mp_context=spawn) as pool:
+        return [each.result() for each in [pool.submit(task) for task in tasks]]
+
+
+def _calibrated(log):
+    return dict(calibrate(_noisy(log, _TUNING_SEED)))
+
+
+def _tried(name, log, fields, sigmas, rest, seed):
+    """Rows of all estimators on a log without sensors, with the noise of a seed."""
+    noisy = _noisy(log, seed)
+    return [
+        *_trials_of_rhe(name, noisy, fields, seed),
+        *_trials_of_rivals(name, noisy, sigmas, rest, seed),
+    ]
 
 
 def trials(logs, seeds):
@@ -221,21 +223,40 @@ def trials(logs, seeds):
         name: page.aligned(log.drop(columns=_SENSORS, errors="ignore"))
         for name, log in logs.items()
     }
-    training = {name: _noisy(log, _TUNING_SEED) for name, log in logs.items()}
-    numbers = {name: dict(calibrate(log)) for name, log in training.items()}
-    sigmas = {
-        title: {name: _tuned(title, log) for name, log in training.items()} for title in _SEARCHED
-    }
-    rows = []
+    tunings = [partial(_calibrated, log) for log in logs.values()]
+    tunings += [
+        partial(_tuned, title, _noisy(log, _TUNING_SEED))
+        for title in _SEARCHED
+        for log in logs.values()
+    ]
+    found = iter(_in_parallel(tunings))
+    numbers = dict(zip(logs, found))
+    sigmas = {title: dict(zip(logs, found)) for title in _SEARCHED}
+    tasks = []
     for name, log in logs.items():
         rest = [other for other in logs if other != name]
         of_others = _middle([numbers[other] for other in rest])
         fields = dict(itself=numbers[name], others=of_others, shipped={})
-        for seed in seeds:
-            noisy = _noisy(log, seed)
-            rows += _trials_of_rhe(name, noisy, fields, seed)
-            rows += _trials_of_rivals(name, noisy, sigmas, rest, seed)
-    return pd.DataFrame(rows)
+        tasks += [partial(_tried, name, log, fields, sigmas, rest, seed) for seed in seeds]
+    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
+
+
+def _tried_with_gyro(name, log, found, seed):
+    """Rows of the RHE on a log with its gyro, with the noise of a seed."""
+    fields = dict(itself=found, shipped={})
+    return _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
+
+
+def trials_with_gyro(logs, seeds):
+    """Rows as of `trials`, of the RHE on those logs that have a gyro."""
+    logs = {name: page.aligned(log) for name, log in logs.items() if {*_SENSORS} & {*log}}
+    found = _in_parallel([partial(_calibrated, log) for log in logs.values()])
+    tasks = [
+        partial(_tried_with_gyro, name, log, numbers, seed)
+        for (name, log), numbers in zip(logs.items(), found)
+        for seed in seeds
+    ]
+    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
 
 
 def table(rows):

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from rhec.logs.bag_files import files_of, messages, opened
-from rhec.logs.column_names import RENAMING
+from rhec.logs.finding import passed
 from rhec.simulation.columns import TRACKS
 
 MOST_VALUES = 20_000_000  # of a log; more would take minutes and gigabytes
@@ -112,7 +112,7 @@ class _Field(NamedTuple):
         return self.sign * number
 
     def _refused(self, problem, value):
-        named = f"columns[{self.column!r}] was {self.named!r}"
+        named = f"{passed(f'columns[{self.column!r}]')} was {self.named!r}"
         return f"{named}; a {self.msgtype} {problem}: {_contents(value)}"
 
 
@@ -182,7 +182,7 @@ def _fields_by_topic(columns, types):
             field = _Field(column, rest, path, types[topic], sign)
             fields.setdefault(topic, []).append(field)
             continue
-        raise ValueError(f"columns[{column!r}] was {given!r}; it should {wanted}")
+        raise ValueError(f"{passed(f'columns[{column!r}]')} was {given!r}; it should {wanted}")
     return fields
 
 
@@ -197,13 +197,13 @@ def _topic_for(types, topics, role):
         readable = ", ".join(kind.rsplit("/", 1)[1] for kind in kinds)
         raise ValueError(
             f"no topic for {role} ({readable}) among {_listed(types)}; "
-            f"{RENAMING.get()({'x_m': '/topic.field'})} reads fields of any type"
+            f"{passed('columns', {'x_m': '/topic.field'})} reads fields of any type"
         )
     best = min((types[name] for name in suitable), key=kinds.index)
     suitable = [name for name in suitable if types[name] == best]
     if topics is None and len(suitable) > 1:
         raise ValueError(
-            f"several topics for {role}, {', '.join(suitable)}; topics should name one"
+            f"several topics for {role}, {', '.join(suitable)}; {passed('topics')} should name one"
         )
     # If two topics have the same type, the user lists the topic of the positions first.
     return suitable[0 if role == "positions" else -1]
@@ -217,17 +217,17 @@ def _refuse_chosen(types, chosen, are_named, wheel_radius_m):
     if positions and positions == encoders and not are_named:
         raise ValueError(
             f"{only}, which are the integral of its own speeds; record a receiver, or "
-            f"topics=({positions!r},) reads them as real positions"
+            f"{passed('topics', (positions,))} reads them as real positions"
         )
     if _FILTERED in positions and not are_named:
         raise ValueError(
-            f"{only}, an estimate that has seen the encoders; record its receiver, or name topics "
-            "if these are real positions"
+            f"{only}, an estimate that has seen the encoders; record its receiver, or name it by "
+            f"{passed('topics')} if these are real positions"
         )
     if encoders and types[encoders].endswith("JointState") and wheel_radius_m is None:
         raise ValueError(
-            f"wheel_radius_m was None; {encoders} has wheel speeds in rad/s, which need the "
-            "wheel_radius_m and then the track_width_m (--wheel-radius-m, --track-width-m)"
+            f"{passed('wheel_radius_m')} was None; {encoders} has wheel speeds in rad/s, which "
+            f"need it and then {passed('track_width_m')}"
         )
 
 
@@ -244,7 +244,7 @@ def _choose(types, topics, given, wheel_radius_m):
     """
     unknown = [name for name in topics or () if name not in types]
     if unknown:
-        raise ValueError(f"topics named {unknown[0]!r}; the bag has {', '.join(types)}")
+        raise ValueError(f"{passed('topics')} named {unknown[0]!r}; the bag has {', '.join(types)}")
     chosen = {}
     remarks = {}
     for role, filling in _FILLED_BY.items():

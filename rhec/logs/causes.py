@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from rhec.logs.finding import refused
+from rhec.logs.finding import passed, refused
 from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
 from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import MEASUREMENTS
@@ -21,7 +21,7 @@ from rhec.simulation.columns import MEASUREMENTS
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
 _GOOD = 0.9  # share of the squares that an explanation explains,
 _BETTER = 3.0  # and by how much smaller the share is that it leaves
-_EMPTY = 0.01  # range of a yaw rate that never changes [rad/s]
+_EMPTY = 0.01  # range of a yaw rate, or of the tracks' difference, that never changes [rad/s, m/s]
 _TURNS_RAD = 2.0  # range of the course that needs a yaw rate
 _VERTEX_M = 0.5  # between places of which a course is taken, and at least so many σ of these:
 _VERTEX_SIGMAS = 12.0
@@ -112,6 +112,22 @@ def _turn_with_sign(log):
     return log.rows.assign(**{_OMEGA: np.sign(at) * omega})
 
 
+def _rates(*names):
+    """Undoes sums since the beginning, such as a yaw, in the place of these rates."""
+
+    def undone(log):
+        rows = log.rows
+        for name in names:
+            there = rows[rows[name].notna()].groupby("segment")
+            step = there[name].diff()
+            if name == _OMEGA:
+                step = (step + np.pi) % (2 * np.pi) - np.pi  # a yaw may be wrapped
+            rows = rows.assign(**{name: step / there["t_s"].diff()})
+        return rows
+
+    return undone
+
+
 # The path alone
 
 
@@ -142,7 +158,9 @@ def _vertices(log):
 def _never_turns(log, share):
     """A yaw rate that never changes while the path turns."""
     omega = log.rows[_OMEGA].dropna()
-    if np.ptp(omega) > _EMPTY:
+    are_tracks = log.columns[_OMEGA] == log.columns[_NU]
+    # That of tracks is their difference over a width that may be wrong.
+    if np.ptp(omega) * (log.width_m if are_tracks else 1.0) > _EMPTY:
         return None
     vertices = _vertices(log)
     course = vertices["turn"].where(~vertices["is_cusp"], 0.0).groupby(vertices["segment"]).cumsum()
@@ -151,14 +169,14 @@ def _never_turns(log, share):
         return None
     column = log.columns[_OMEGA]
     but = f"in all rows, but the path turns by {turns_rad:.2g} rad"
-    if column == log.columns[_NU]:  # the speeds of both tracks
+    if are_tracks:
         fact = f"the log's {column} are as fast as each other {but}: both are of one track"
         remedy = "Look where the log is written for the column of the other track."
     else:
         fact = f"the log's {column} is {omega.median():.3g} {but}: nothing fills this column"
         remedy = (
             f"Take {column} from another topic, or from the speeds of both tracks with their "
-            "distance (--track-width-m)."
+            f"distance, {passed('track_width_m')}."
         )
     return share, refused(fact, "empty_yaw_rate", remedy)
 
@@ -239,6 +257,14 @@ _HYPOTHESES = (
         _turn_with_sign,
         "the log's {yaw_rate} has no sign: the path turns to both sides, and it is never negative",
         "Log the signed yaw rate, counter-clockwise.",
+    ),
+    *(
+        _undone(_rates(*names), f"the log's {what} since the beginning", f"Log {remedy}.")
+        for names, what, remedy in (
+            ((_OMEGA,), "{yaw_rate} is the angle", "the yaw rate, or the change of the angle"),
+            ((_NU,), "{speed} is the way", "the speed, or the change of the way"),
+            ((_NU, _OMEGA), "{speed} and {yaw_rate} are way and angle", "speeds, or their changes"),
+        )
     ),
 )
 

@@ -40,6 +40,8 @@ _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
 _DRIVING_MPS = 0.05
 _MOST_UNUSABLE = 0.01  # share of rows whose time cannot be used
 _LEAST_HELD = 5  # positions that repeat the one before
+_MOST_SPIKES = 0.02  # share of the values of an encoder
+_ROUNDED_M = 0.25  # distance of two numbers of a position
 _HOUR_S = 3600.0
 _JUMP_M = 0.5  # a step beyond what the speed allows
 _MOST_JUMPS = 2e-4  # share of positions
@@ -132,6 +134,18 @@ def _check_counting(recording):
         yield refused(f"the log's {place} should be of a robot that moves: they never change")
 
 
+def _check_rounded(recording):
+    """Find positions with too few digits, as a spreadsheet or a float32 has them."""
+    for name in _POSITION:
+        step_m = np.diff(np.unique(recording.rows[name].dropna())).min(initial=np.inf)
+        if _ROUNDED_M < step_m < np.inf:
+            yield warning(
+                "rounded",
+                f"the log's {recording.columns[name]} is rounded to {step_m:.3g} m",
+                "Write it with all its digits, or from a place near the robot on.",
+            )
+
+
 def _check_clock(recording):
     """Find times that cannot be used, a clock that is set back, and files pasted together."""
     faults = recording.faults
@@ -183,11 +197,14 @@ def _silence_s(rows, column):
 def _check_left_out(recording):
     """Tell how many values were left out, and where a new drive begins."""
     for column, n in recording.faults["left_out"].items():
-        yield note(
+        # Of so many wrong speeds others are near the right ones, and are not left out.
+        are_many = n > _MOST_SPIKES * len(recording.rows) and column != recording.columns[_X]
+        yield (warning if are_many else note)(
             "left_out",
             f"{n} values of {column} are left out, because none is as large or so far from both "
             "its neighbours",
-            "Look for a counter that rolls over, or for bits that are lost.",
+            "Look for a counter that rolls over, for bits that are lost, or for a number such as "
+            "-1 in the place of none.",
         )
     for jump_m in recording.faults["jumps_m"]:
         place = ", ".join(recording.columns[name] for name in _POSITION)
@@ -315,15 +332,21 @@ def _check_jumps(recording):
         )
 
 
+def _check_columns(recording):
+    """Find the fault of a column that explains the log, or else wrong units, axes and delays."""
+    found = [*causes.find(recording)]
+    yield from found or check_path(recording)
+
+
 _CHECKS = (
     _check_counting,
+    _check_rounded,
     _check_clock,
     _check_common_time,
     _check_left_out,
     _check_standing,
     check_clock_offset,
-    causes.find,
-    check_path,
+    _check_columns,
     check_sensors,
 )
 _OF_MOTION = (_check_excited, _check_silence, _check_encoders, _check_jumps)

@@ -1,8 +1,8 @@
 """The columns of a recording: what others call them, and what is said of a log that lacks some."""
 
 import re
-from contextvars import ContextVar
 
+from rhec.logs.finding import passed
 from rhec.simulation.columns import RECORDED, RECORDED_SENSORS, RECORDED_TRUTH, TRACKS
 
 # The columns of a recording, and names that other loggers use for them, in lower case and without
@@ -23,11 +23,10 @@ OTHER_NAMES = {
 }
 DECLARED = "position_sigma_m"  # standard deviation of a position by its receiver
 KNOWN = (*OTHER_NAMES, "sec", "nanosec", DECLARED, *RECORDED_TRUTH.values())  # all that is read
-_UNIT = re.compile(r"[ _(\[]+(m|s|ms|us|ns|m/s|mps|rad/s|radps|rad_s|deg/s|dps)[)\]]*$")
+_UNITS = "m|s|ms|us|ns|m/s|mps|km/h|kmh|kph|mph|knots|rad/s|radps|rad_s|deg/s|dps"
+_UNIT = re.compile(rf"[ _(\[]+({_UNITS})[)\]]*$")
 _RPM = re.compile(r"(^|_)rpm(_|$)")
 _INCREMENT = re.compile(r"(^|_)(d|delta_?)(x|y|s|t|theta|yaw|dist\w*)(_|$)|^distance$|^odometer$")
-# How messages write {column of a recording: name in the file}; `rhec.cli` sets it to its option.
-RENAMING = ContextVar("RENAMING", default=lambda names: f"columns={names} of rhec.logs.read")
 _LONGEST = 300  # characters of a list of columns in a message
 
 
@@ -120,7 +119,7 @@ def missing_columns(log, required):
     lacks_speeds = not {"speed_mps", "yaw_rate_radps"} <= set(columns)
     needs_width = is_robots and lacks_speeds and set(TRACKS) <= set(columns)
     if needs_width:
-        sentence += f", or give a track_width_m (--track-width-m) for {', '.join(TRACKS)}"
+        sentence += f", or give {passed('track_width_m')} for {', '.join(TRACKS)}"
         missing = [name for name in missing if name not in ("speed_mps", "yaw_rate_radps")]
     elif is_robots and lacks_speeds:  # the speeds of tracks may stand there by another name
         missing += [name for name in TRACKS if name not in columns]
@@ -129,7 +128,8 @@ def missing_columns(log, required):
     left_out = [f"{role}: {told}" for role, told in inferred.items() if told.startswith("none")]
     sentence += f" ({'; '.join(left_out)})" if left_out else ""
     sentence += "" if needs_width else _made_of(free)
-    renaming = RENAMING.get()
     if suggested := _suggestions(missing, free):
-        return f"{sentence}: did you mean {renaming(suggested)}?"
-    return sentence if needs_width else f"{sentence}; {renaming({missing[0]: 'NAME'})} renames one"
+        return f"{sentence}: did you mean {passed('columns', suggested)}?"
+    if needs_width:
+        return sentence
+    return f"{sentence}; {passed('columns', {missing[0]: 'NAME'})} renames one"

@@ -1,7 +1,32 @@
-"""What a check says of a log: one record for the doctor, for `rhec.replay` and for the command."""
+"""What a check says of a log: one record for the doctor, for `rhec.replay` and for the command.
 
+Sentences name what a user may pass by `passed`, as it is written in Python or in a shell.
+"""
+
+from contextvars import ContextVar
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+# Whose argument it is, where other functions say that it helps.
+_OF = dict(columns="rhec.logs.read", calibrate="rhec.log")
+
+
+def _in_python(argument, value=None):
+    if argument == "output":  # of the command alone
+        return "yaml, and rhec.export"
+    if value is None:
+        return argument
+    of = f" of {_OF[argument]}" if argument in _OF else ""
+    return f"{argument}={value!r}{of}"
+
+
+# How an argument is written, with its value if there is one; `rhec.cli` sets it to its options.
+PASSED = ContextVar("PASSED", default=_in_python)
+
+
+def passed(argument: str, value: Any = None) -> str:
+    """An argument that a user may pass, in the words of the user, such as `--track-width-m`."""
+    return PASSED.get()(argument, value)
 
 
 class Severity(StrEnum):

@@ -5,8 +5,6 @@ knows, its standard deviations are made larger by one factor (`inflation`), as B
 with those of measurements that scatter more than they say.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import pandas as pd
 
@@ -87,16 +85,10 @@ def inflation(*ratios):
     return float(max(1.0, *needed)) if needed else 1.0
 
 
-class Judged(NamedTuple):
-    """What the RHE did on a log, as a robot would have run it on its way."""
-
-    samples: pd.DataFrame  # with standard deviations as the estimator says them
-    inflation: float  # by which these are too small
-    numbers: dict  # {name: number} of the page
-
-
 def judge(recording, estimate, smoothed, sigma_v):
-    """The Judged of an estimator on a log.
+    """Samples of an estimator on a log, as a robot runs it on its way, and {name: number} of them.
+
+    Their standard deviations are as the estimator says, and by "inflation" too small.
 
     Args:
         recording: The Recording.
@@ -119,4 +111,4 @@ def judge(recording, estimate, smoothed, sigma_v):
         yaw_sigma_rad=factor * float(samples[SIGMA[2]][counts].median()),
         inflation=factor,
     )
-    return Judged(samples, factor, numbers)
+    return samples, numbers

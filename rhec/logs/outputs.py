@@ -5,9 +5,9 @@ import numpy as np
 from rhec.files import replacing
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
 
-# What write_estimates may write, and write_summary besides.
-FILES_OF_ESTIMATES = ("estimates.csv", "estimates.parquet", "estimated.tum", "measured.tum")
-FILES = (*FILES_OF_ESTIMATES, "summary.txt", "summary.json", "robot.yaml", "log.png")
+# What write_estimates writes, and write_summary besides.
+FILES = ("estimates.csv", "estimates.parquet", "estimated.tum", "measured.tum")
+FILES += ("summary.txt", "summary.json", "robot.yaml", "log.png")
 
 
 def write_estimates(estimates, folder):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from rhec.logs import minimum
-from rhec.logs.finding import note, refused, warning
+from rhec.logs.finding import note, passed, refused, warning
 from rhec.simulation.columns import MEASUREMENTS
 
 _POSITION = MEASUREMENTS[:2]
@@ -93,9 +93,8 @@ _CHECKS = (
             "corrected_yaw_rate",
             "the course turns {times:.3g} times as far as the encoders say, so that κ is at its "
             "bound 1",
-            "The driver may already correct the yaw rate: rhec.logs.read undoes its "
-            "wheel_separation_multiplier (--wheel-separation-multiplier), or use the track speeds "
-            "with the geometric track_width_m.",
+            "The driver may already correct the yaw rate: {multiplier} undoes it, or use the track "
+            "speeds with their geometric distance, {width}.",
         ),
     ),
 )
@@ -268,14 +267,17 @@ def check_path(recording):
     """Find wrong units, signs and axes, and positions that are late by up to two seconds."""
     columns = recording.columns
     speed, yaw_rate = (columns[name] for name in _ENCODERS)
+    if yaw_rate == speed:
+        yaw_rate += f" by {passed('track_width_m')}"
     place = ", ".join(columns[name] for name in _POSITION)
     motion = _motion(recording.rows)
     if motion is None:
         return
     is_late = positions_are_late(motion)
     slopes = motion.late if is_late else motion.in_time
+    helps = dict(multiplier=passed("wheel_separation_multiplier"), width=passed("track_width_m"))
     for slope, check in zip(slopes, _CHECKS):
-        named = dict(times=slope.value, place=place, speed=speed, yaw_rate=yaw_rate)
+        named = dict(times=slope.value, place=place, speed=speed, yaw_rate=yaw_rate) | helps
         cause = _cause(slope, check)
         if cause:
             yield refused(f"the log's {cause}: {check.measured}".format(**named))
@@ -293,8 +295,8 @@ def check_path(recording):
             "late_positions",
             f"the log's {place} come {motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s later than "
             f"{', '.join(dict.fromkeys([speed, yaw_rate]))}",
-            f"--calibrate measures the delay and makes up for it; --position-delay-s "
-            f"{motion.delay_s:.2f} alone does the latter.",
+            f"{passed('calibrate', True)} measures the delay and makes up for it; "
+            f"{passed('position_delay_s', round(motion.delay_s, 2))} alone does the latter.",
         )
     elif is_late:
         yield note(
@@ -332,7 +334,7 @@ def check_clock_offset(recording):
     yield refused(
         f"the log's {place} are by a clock about {abs(best_s)} s {way} that of "
         f"{recording.columns[_ENCODERS[0]]}{why}; "
-        f"--position-delay-s {best_s} corrects this",
+        f"{passed('position_delay_s', best_s)} corrects this",
         "clock_offset",
         "Record all sensors by one clock, such as the computer's.",
     )

@@ -20,6 +20,7 @@ from rhec.core._casadi.validation import Positive, checked, shown
 from rhec.logs.bag_files import SUFFIXES, files_of
 from rhec.logs.bags import MOST_VALUES, read_bag
 from rhec.logs.column_names import OTHER_NAMES, column_of, unit_of
+from rhec.logs.finding import passed
 from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -29,6 +30,7 @@ _MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
 _BEGIN = 1024  # bytes, of which one is 0 in a picture, an archive or a table of another kind
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
+_QUOTED_NUMBER = re.compile(r'"([-+\d.,]+)"')
 # A mark of thousands, then a mark of decimals, such as 1,234.5 and 1.234,5.
 _THOUSANDS = {
     ",": re.compile(r"(?<![\d.,])\d{1,3}(,\d{3})+\.\d"),
@@ -92,8 +94,8 @@ def read(
         absent = [name for name in columns or {} if name not in log]
         if absent:
             raise ValueError(
-                f"columns[{absent[0]!r}] was {columns[absent[0]]!r}; no file has it, together they "
-                f"have {', '.join(log)}"
+                f"{passed(f'columns[{absent[0]!r}]')} was {columns[absent[0]]!r}; no file has it, "
+                f"together they have {', '.join(log)}"
             )
     else:
         log = _read_file(path, *given)
@@ -116,7 +118,9 @@ def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
     file = _checked_path(path)
     is_bag = file.suffix in SUFFIXES or file.is_dir()
     if topics is not None and not is_bag:
-        raise ValueError(f"topics was {topics!r}; only a bag has topics, and log was {str(file)!r}")
+        raise ValueError(
+            f"{passed('topics')} was {topics!r}; only a bag has topics, and log was {str(file)!r}"
+        )
     try:
         if is_bag:
             log, inferred = read_bag(file, topics, wheel_radius_m, columns)
@@ -139,7 +143,8 @@ def _read_file(path, columns, topics, wheel_radius_m, is_whole=True):
         elif column.startswith("-") and column[1:] in log:
             log[name] = -pd.to_numeric(log[column[1:]], errors="coerce")
         elif is_whole:
-            raise ValueError(f"columns[{name!r}] was {column!r}; the log has {', '.join(log)}")
+            named = passed(f"columns[{name!r}]")
+            raise ValueError(f"{named} was {column!r}; the log has {', '.join(log)}")
     log = _in_seconds(log, inferred)
     log.attrs["inferred"] = inferred
     return log
@@ -194,8 +199,8 @@ def _without_multiplier(log, multiplier, inferred):
     column = "yaw_rate_radps"
     if column not in log:
         raise ValueError(
-            f"wheel_separation_multiplier was {multiplier!r}; it is of {column}, and the log has "
-            f"{', '.join(map(str, log))}"
+            f"{passed('wheel_separation_multiplier')} was {multiplier!r}; it is of {column}, and "
+            f"the log has {', '.join(map(str, log))}"
         )
     inferred["yaw rate"] = f"times {multiplier:g}, by which the driver had multiplied the width"
     return log.assign(**{column: multiplier * pd.to_numeric(log[column], errors="coerce")})
@@ -309,11 +314,13 @@ def _names_among(head, is_remark):
 
 def _marks(lines, separator):
     """The marks of decimals and of thousands, or None, in lines with this separator."""
+    if separator == ",":  # numbers with a comma are in quotes then
+        lines = [entry for line in lines for entry in _QUOTED_NUMBER.findall(line)]
     for mark, pattern in _THOUSANDS.items():
-        if separator != "," and any(pattern.search(line) for line in lines):
+        if any(pattern.search(line) for line in lines):
             return "," if mark == "." else ".", mark
     has_commas = any(_NUMBER_WITH_COMMA.search(line) for line in lines)
-    return "," if separator != "," and has_commas else ".", None
+    return "," if has_commas else ".", None
 
 
 def _read_parquet(file, columns):
@@ -373,8 +380,10 @@ def _in_seconds(log, inferred):
     begin_s = 0.0
     if pd.api.types.is_datetime64_any_dtype(time) or numbers.isna().all():
         stamps = pd.to_datetime(time, format="ISO8601", utc=True, errors="coerce")
+        if stamps.isna().all():  # of which a replay says what it has instead
+            return log.assign(t_s=time)
         t_s = (stamps - stamps.min()).dt.total_seconds()
-        begin_s = stamps.min().timestamp() if stamps.notna().any() else 0.0
+        begin_s = stamps.min().timestamp()
         unit = "ISO 8601"
     else:
         unit = _unit(name, numbers)

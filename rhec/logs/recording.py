@@ -4,7 +4,7 @@
 
 - A measurement counts as missing if it is not a finite number of plausible size.
 - A value of an encoder that is far from both its neighbours is a counter that rolled over or a bit
-  that was lost, and counts as missing; so does a position a kilometre from those about it.
+  that was lost, and counts as missing; so does a position 100 m away from those about it.
 - A position that equals the previous one to the last digit is a repeated one and counts as missing.
 - A row is dropped if its time is not a number, is far from the times of the rows before it, or is
   not later than all of them.
@@ -18,7 +18,9 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.core._casadi.validation import shown
 from rhec.logs.column_names import DECLARED, missing_columns
+from rhec.logs.finding import passed
 from rhec.simulation.columns import (
     MEANS,
     MEASUREMENTS,
@@ -60,7 +62,8 @@ _LEAST_USABLE = 0.1  # share of the rows with a usable time of their own: fewer 
 SECONDS = dict(s=1.0, ms=1e-3, us=1e-6, ns=1e-9)  # units of time
 _SPIKE = 1.0  # of an encoder, above and below both neighbours [m/s, rad/s]
 _FAR_M = 1000.0  # between positions, which no robot drives
-_ABOUT = 5  # positions by whose median a far one is judged
+_ASTRAY_M = 100.0  # from the positions about it, where a single one is none
+_ABOUT = 5  # positions by whose median it is judged
 _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
 
@@ -318,7 +321,9 @@ def _parse(log, measured, optional=None):
     values = pd.DataFrame({name: _numbers(log, column) for name, column in required.items()})
     for name, column in required.items():
         if not np.isfinite(values[name]).any():
-            raise ValueError(f"the log's column {column} had no number in it")
+            first = shown(str(log[column].iloc[0]))
+            may_be = "; it should be in seconds, or ISO 8601" if name == "t_s" else ""
+            raise ValueError(f"the log's column {column} had no number in it, but {first}{may_be}")
     values = values.assign(segment=_segments(log))
     for name, column in (optional or {}).items():
         if column in log:
@@ -358,7 +363,8 @@ def _recorded_width(log):
         width_m = float(widths[np.abs(omega) > _TURNING_RADPS].median())
         if width_m > 0:
             return width_m, f"by the log's {', '.join(TRACKS)} and {yaw_rate}"
-    return paper.TRACK_WIDTH_M, "the paper's, because none is given and no track speeds tell it"
+    unknown = f"the paper's, because neither {passed('track_width_m')} nor track speeds tell it"
+    return paper.TRACK_WIDTH_M, unknown
 
 
 def _drop_implausible(values, columns, limits):
@@ -397,7 +403,7 @@ def _drop_spikes(values, name):
 def _split_at_jumps(rows):
     """Begin new segments where the positions jump by more than _FAR_M, in place.
 
-    Positions that are as far from those about them are set to NaN instead.
+    Single positions away from those about them are set to NaN.
 
     Returns:
         How many are, and by how much the positions jump [m], a list.
@@ -408,15 +414,15 @@ def _split_at_jumps(rows):
     about = there.groupby("segment")[_POSITION].transform(
         lambda place: place.rolling(_ABOUT, center=True, min_periods=1).median()
     )
-    is_far = (there[_POSITION] - about).abs().max(axis=1) > _FAR_M
-    rows.loc[is_far.index[is_far], _POSITION] = np.nan
-    there = there[~is_far]
+    is_astray = (there[_POSITION] - about).abs().max(axis=1) > _ASTRAY_M
+    rows.loc[is_astray.index[is_astray], _POSITION] = np.nan
+    there = there[~is_astray]
     step_m = there.groupby("segment")[_POSITION].diff().abs().max(axis=1)
     begins = step_m[step_m > _FAR_M]
     new = rows["segment"].diff().fillna(0.0) != 0
     new |= rows.index.isin(begins.index)
     rows["segment"] = new.cumsum()
-    return int(is_far.sum()), begins.tolist()
+    return int(is_astray.sum()), begins.tolist()
 
 
 def _shift_positions(rows, delay_s):

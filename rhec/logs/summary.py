@@ -18,7 +18,7 @@ from rhec.logs import terms
 from rhec.logs.calibration import LOG_ARGUMENTS, calibrate_recorded
 from rhec.logs.checks import Diagnosis, doctor
 from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw
-from rhec.logs.finding import Severity
+from rhec.logs.finding import Severity, passed
 from rhec.logs.judge import HIDDEN_S, judge
 from rhec.logs.likelihood import Calibration
 from rhec.logs.reader import read_if_path
@@ -35,11 +35,6 @@ _LEAST_HIDDEN = 3  # stretches of hidden positions; fewer are no test
 # A larger factor of σ says that something happens of which the estimator knows nothing.
 _MOST_INFLATED = 4.0
 _MOST_TRACTION = 1.5  # a larger one, or a negative one, is none
-_ASKED = (
-    "Where the log does not tell them, give the distance of the tracks (--track-width-m), the "
-    "radius of wheels whose speeds are in rad/s (--wheel-radius-m), and the factor by which the "
-    "driver has already multiplied the distance (--wheel-separation-multiplier)."
-)
 
 
 class Judgement(NamedTuple):
@@ -114,7 +109,6 @@ class Summary:
             parts.append(["Calibration:", *_indented(str(self.calibration))])
         if self.doubts:
             parts.append(["All doubts:", *(f"  - {doubt}" for doubt in self.doubts)])
-        parts.append([_ASKED])
         return "\n\n".join("\n".join(part) for part in parts)
 
     def to_json(self) -> str:
@@ -192,7 +186,7 @@ def _traction_line(summary):
     drift = summary.traction.loc["drift"]
     if drift["low"] > 0 or drift["high"] < 0:
         told.append(f"drift {_plus_minus(drift)} rad/m")
-    if not np.isfinite(summary.traction.loc["κ", "value"]):
+    if not 0 < summary.traction.loc["κ", "value"] < _MOST_TRACTION:
         return "   ".join(told)
     multiplier, width = (
         summary.parameters.loc[name, "value"]
@@ -267,13 +261,14 @@ def log(
     recording = delayed(recording, position_delay_s)
     scenario = replay_scenario("rhe", recording, fields)
     smoothed = estimate_samples(recording, scenario, first, smooth=True)
-    judged = judge(
+    way, numbers = judge(
         recording,
         lambda shown: estimate_samples(shown, scenario, first),
         smoothed,
         sigma_v_of(scenario),
     )
-    smoothed, way = (_inflated(each, judged.inflation) for each in (smoothed, judged.samples))
+    inflation = numbers["inflation"]
+    smoothed, way = (_inflated(each, inflation) for each in (smoothed, way))
     slopes = terms.slopes(smoothed)
     parameters = terms.of_log(slopes, smoothed, recording.track_width_m, found)
     traction = pd.DataFrame(
@@ -281,16 +276,21 @@ def log(
         index=["μ", "κ", "drift"],
         columns=["value", "low", "high"],
     )
-    doubts = tuple(_doubts(recording, diagnosis, traction, judged.numbers, smoothed, found))
+    lacking = [*_lacking(recording, traction, numbers)]
+    doubts = (
+        *_contradicted(recording, diagnosis, traction, found),
+        *lacking,
+        *_unsure(traction, numbers, smoothed, found),
+    )
     yaml = terms.as_yaml(
         parameters, recording.track_width_m, terms.noise(smoothed), diagnosis.facts["encoders_hz"]
     )
     return Summary(
         taken=_taken(recorded, recording),
         diagnosis=diagnosis,
-        verdict=_verdict(doubts, recording, found),
+        verdict=_verdict(doubts, lacking, recording, found),
         doubts=doubts,
-        numbers=judged.numbers | diagnosis.facts,
+        numbers=numbers | diagnosis.facts,
         traction=traction,
         way=way,
         samples=smoothed,
@@ -298,7 +298,7 @@ def log(
         calibration=found,
         parameters=parameters,
         yaml=yaml,
-        judged=Judgement(recording, scenario, first, judged.inflation),
+        judged=Judgement(recording, scenario, first, inflation),
     )
 
 
@@ -335,55 +335,69 @@ def _taken(log, recording=None):
     return rows
 
 
-def _doubts(recording, diagnosis, traction, numbers, smoothed, found):
-    """Why not to trust the estimates and what helps, sentences, the strongest doubt first."""
-    is_excited = turned_rad(recording.rows) >= LEAST_TURNED_RAD
-    if not is_excited:
-        yield "κ is not excited: drive two figures of eight"
-    for name in ("μ", "κ") if is_excited else ("μ",):
+def _contradicted(recording, diagnosis, traction, found):
+    """Why not to trust a log and what helps, by its findings and its traction, sentences."""
+    for name in _told(recording):
         value = traction.loc[name, "value"]
-        if np.isnan(value):
-            yield f"the log is too short to tell {name}: drive for a minute, also in curves"
-        elif not 0 < value < _MOST_TRACTION:
+        if not np.isnan(value) and not 0 < value < _MOST_TRACTION:
             yield f"{name} is {value:.3g}, which is no traction: look at the columns and units"
     for finding in diagnosis.findings:
         if finding.severity is Severity.WARNING and not (
             found and finding.code == "late_positions"
         ):
             yield f"{finding.fact}; {finding.remedy[0].lower()}{finding.remedy[1:-1]}"
+
+
+def _lacking(recording, traction, numbers):
+    """What a log is too short or too plain to tell, and what helps, sentences."""
+    if "κ" not in _told(recording):
+        yield "κ is not excited: drive two figures of eight"
+    for name in _told(recording):
+        if np.isnan(traction.loc[name, "value"]):
+            yield f"the log is too short to tell {name}: drive for a minute, also in curves"
     if numbers["hidden"] < _LEAST_HIDDEN:
         yield (
             f"only {numbers['hidden']} positions could be hidden for {HIDDEN_S:g} s, so that the "
             f"estimates are hardly tested: drive for at least {_LEAST_HIDDEN + 1} times as long "
             "without a gap of the positions"
         )
+
+
+def _told(recording):
+    """Which of μ and κ a drive with as many turns as this one tells."""
+    return ("μ", "κ") if turned_rad(recording.rows) >= LEAST_TURNED_RAD else ("μ",)
+
+
+def _unsure(traction, numbers, smoothed, found):
+    """Where the estimates are less sure than they should be, and what helps, sentences."""
     if unknown := unknown_yaw(smoothed):
         yield f"{unknown[0].lower()}{unknown[1:-1]}"
     if numbers["inflation"] > _MOST_INFLATED:
         helps = "no noise explains it: look for slip sideways, a late sensor or outliers"
         if found is None:
-            helps = "run rhec log --calibrate"
+            helps = f"judge it with {passed('calibrate', True)}"
         yield (
             f"σ is {numbers['inflation']:.2g} times too small, by {numbers['hidden']} hidden "
             f"positions and the yaw that later ones tell: {helps}"
         )
     if traction.loc["κ", "low"] > 1:
         yield (
-            "κ is above 1: where the driver has already corrected the yaw rate, give its "
-            "wheel_separation_multiplier (--wheel-separation-multiplier); else the tracks slip "
-            "unlike each other"
+            "κ is above 1: where the driver has already corrected the yaw rate, "
+            f"{passed('wheel_separation_multiplier')} undoes it; else the tracks slip unlike each "
+            "other"
         )
 
 
-def _verdict(doubts, recording, found):
+def _verdict(doubts, lacking, recording, found):
     """Whether to trust the estimates, and if not, the strongest doubt."""
     if doubts:
-        more = f" ({len(doubts) - 1} more doubts: --details)" if len(doubts) > 1 else ""
-        return f"Do not trust it yet: {doubts[0]}.{more}"
+        more = f" ({len(doubts) - 1} more in {passed('details')})" if len(doubts) > 1 else ""
+        begin = "Cannot tell yet" if doubts[0] in lacking else "Do not trust it yet"
+        return f"{begin}: {doubts[0]}.{more}"
     heading = " A gyro or a heading would check the yaw." if not recording.sensors else ""
-    then = "rhec log FILE --calibrate --output FOLDER"
+    then = f"judge it with {passed('calibrate', True)}"
     if found is not None:
-        then = "take robot.yaml and the C of --output FOLDER to the robot"
+        then = f"take its YAML and its C to the robot: {passed('output', 'FOLDER')}"
     return (
         "Trust it. What was checked cannot tell tracks that slip sideways all the time, as on "
         f"ice.{heading} Next: {then}."

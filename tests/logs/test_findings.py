@@ -192,11 +192,12 @@ WRONG = {
     "time missing": (LOG.assign(t_s=T.where(LOG.index % 5 > 0)), "20% of the rows have times that"),
     "a segment for each row": (LOG.assign(segment=range(1500)), "segment has 1500 values in 1500"),
     "segments that are lists": (LOG.assign(segment=[[1]] * 1500), "segment should be one column"),
-    "no column of speeds": (
-        LOG.drop(columns="speed_mps"),
-        "no column speed_mps; .* give a track_w",
+    "no column of speeds": (LOG.drop(columns="speed_mps"), "no column speed_mps; .* give track_w"),
+    "no numbers": (LOG.assign(speed_mps="fast"), "speed_mps had no number in it, but 'fast'"),
+    "time of day": (
+        LOG.assign(t_s="10:00:01.2"),
+        "t_s had no number in it, but '10:00:01.2'; it should be in seconds, or ISO 8601",
     ),
-    "no numbers": (LOG.assign(speed_mps="fast"), "column speed_mps had no number in it"),
     "a column twice": (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m; it should"),
     "no rows": (LOG[:0], "DataFrame without rows; it should be a DataFrame with rows"),
     "no table": (7, "int; it should be a DataFrame with rows"),
@@ -213,11 +214,11 @@ WRONG = {
     "no position that counts": (LOG.assign(pos_ok=0), "pos_ok is true in none of 1500 rows"),
     "positions by GPS time": (
         in_rows_of_their_own(LOG, 18.0),
-        "18 s ahead of .*, as GPS .*delay-s 18 corr",
+        "18 s ahead of .*, as GPS .*; position_delay_s=18 corr",
     ),
     "positions 37 s behind": (
         in_rows_of_their_own(LOG, -37.0),
-        "37 s behind that of .*delay-s -37 corr",
+        "37 s behind that of .*; position_delay_s=-37 corr",
     ),
     "positions 0.4 s late": (late(LOG, 4), "y_m come 0.39 ± 0.12 s later than"),
     "positions 0.3 s early": (late(LOG, -3), "seem to come 0.31 ± 0.11 s later than x_m"),
@@ -238,6 +239,31 @@ WRONG = {
     "speed of the map": (
         LOG.assign(speed_mps=SPEED * np.cos(LOG["yaw_true_rad"])),
         "is the speed along a fixed direction of the map, -?0.0",
+    ),
+    "yaw in the place of the yaw rate": (
+        LOG.assign(yaw_rate_radps=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),
+        "yaw_rate_radps is the angle since the beginning",
+    ),
+    "counts of the encoders": (
+        LOG.assign(speed_mps=0.1 * SPEED.cumsum(), yaw_rate_radps=0.1 * TURN.cumsum()),
+        "speed_mps and yaw_rate_radps are way and angle since the beginning",
+    ),
+    "positions rounded": (
+        LOG.assign(x_m=0.3 * (X / 0.3).round(), y_m=0.3 * (Y / 0.3).round()),
+        "x_m is rounded to 0.3 m$",
+        "y_m is rounded to 0.3 m$",
+    ),
+    "no position as -999": (
+        LOG.assign(x_m=X.where(LOG.index % 10 > 0, -999), y_m=Y.where(LOG.index % 10 > 0, -999)),
+        "^150 values of x_m are left out",
+    ),
+    "no speed as -1": (
+        LOG.assign(speed_mps=SPEED.where(LOG.index % 7 > 0, -1)),
+        "values of speed_mps are left out",
+    ),
+    "gyro of another clock": (
+        LOG.assign(gyro_radps=np.roll(LOG["yaw_rate_true_radps"], 400)),
+        "gyro_radps may be by another clock, or of another drive",
     ),
     "yaw rate never filled": (LOG.assign(yaw_rate_radps=0.0), "is 0 in all rows, but the path"),
     "positions and wheels by two clocks": (
@@ -457,6 +483,9 @@ def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
         log.to_csv(tmp_path / f"{name}.csv", index=False)
         assert main(["log", str(tmp_path / f"{name}.csv"), "--check", "--json"]) == code
         assert json.loads(capsys.readouterr().out)["ok"] == (code == 0)
+    in_rows_of_their_own(LOG, 18.0).to_csv(tmp_path / "gps.csv", index=False)
+    assert main(["log", str(tmp_path / "gps.csv"), "--check"]) == 1
+    assert "; --position-delay-s 18 corrects this." in capsys.readouterr().out
     LOG.rename(columns=dict(x_m="east")).to_csv(tmp_path / "east.csv", index=False)
     assert main(["log", str(tmp_path / "east.csv"), "--check", "--columns", "x_m=east"]) == 0
     assert main(["log", str(tmp_path / "none.csv"), "--check"]) == 2

@@ -51,6 +51,14 @@ def test_the_separators_of_a_table_are_found_and_told(tmp_path, separator, decim
     assert log.attrs["inferred"]["decimal"] == {".": "point", ",": "comma"}[decimal]
 
 
+def test_numbers_with_a_comma_stand_in_quotes_where_commas_separate(tmp_path):
+    log = LOG.assign(note="3,4 m")
+    file = written(tmp_path, log, decimal=",")
+    assert file.read_text().splitlines()[5].startswith('"0,4","0,2"')
+    pd.testing.assert_frame_equal(rhec.logs.read(file), log, check_dtype=False)
+    pd.testing.assert_frame_equal(rhec.logs.read(written(tmp_path, log)), log, check_dtype=False)
+
+
 @pytest.mark.parametrize(
     "name, of_seconds, told",
     [

@@ -38,7 +38,7 @@ def test_a_log_that_cannot_be_replayed():
         (LOG.drop(columns="x_m"), "the log had no column x_m…; columns={'x_m': 'NAME'} of rh"),
         (
             LOG.drop(columns=["t_s", "speed_mps"]),
-            "the log had no column t_s, speed_mps;…or give a track_width_m",
+            "the log had no column t_s, speed_mps;…or give track_width_m",
         ),
         (LOG.assign(y_m="east"), "the log's column y_m had no number"),
         (LOG.assign(t_s=np.nan), "the log's column t_s had no number"),

@@ -58,7 +58,7 @@ def test_a_bag_with_an_imu_is_calibrated():
 @pytest.mark.parametrize("offset_s", [18, -18, 37])
 def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
     spoilt = in_rows_of_their_own(STOPS, offset_s)
-    with pytest.raises(ValueError, match=f"--position-delay-s {offset_s} corrects this$"):
+    with pytest.raises(ValueError, match=f"position_delay_s={offset_s} corrects this$"):
         rhec.replay(spoilt)
     told = rhec.replay(spoilt, position_delay_s=offset_s, first_yaw_rad=0.4)
     assert told["kappa_hat"].iloc[-1] == pytest.approx(0.75, abs=0.05)

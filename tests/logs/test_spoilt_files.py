@@ -77,6 +77,12 @@ def test_one_track_in_both_columns_is_named():
     assert said.fact.startswith("the log's v_left_mps, v_right_mps are as fast as each other in a")
 
 
+def test_a_track_width_in_cm_is_named():
+    log = LOG[["t_s", "x_m", "y_m", *TRACKS]]
+    (said,) = rhec.doctor(log, track_width_m=100 * TRACK_WIDTH_M).findings
+    assert "v_right_mps by track_width_m may be in another unit" in said.fact
+
+
 def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
     """Messages of a receiver and of joints, at 5 Hz."""
     messages = []
@@ -124,15 +130,15 @@ BAGS = {
     "no radius": (
         drive,
         dict(track_width_m=TRACK_WIDTH_M),
-        "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need the wheel_radius_m "
-        "and then the track_width_m (--wheel-radius-m, --track-width-m)",
+        "wheel_radius_m was None; /joints has wheel speeds in rad/s, which need it and then "
+        "track_width_m",
     ),
     "no track width": (
         drive,
         dict(wheel_radius_m=RADIUS_M),
-        [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give a track_width_m "
-         "(--track-width-m) for v_left_mps, v_right_mps; it has t_s, latitude, longitude, "
-         "altitude, v_left_mps, v_right_mps, x_m, y_m."],
+        [f"{MISSING.format('speed_mps, yaw_rate_radps')}, or give track_width_m for v_left_mps, "
+         "v_right_mps; it has t_s, latitude, longitude, altitude, v_left_mps, v_right_mps, x_m, "
+         "y_m."],
     ),
     "odometry alone": (
         partial(of_odometry, "odom"),

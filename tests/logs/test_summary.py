@@ -50,22 +50,22 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     assert page[2].startswith("μ 0.89") and "→ wheel_separation_multiplier 1.3" in page[2]
     n = summary.numbers["hidden"]
     assert page[4].startswith(f"{n} of {n} hidden positions were within their 95 %") and n > 4
-    assert page[5].startswith("Trust it.") and "rhec log FILE --calibrate" in page[5]
+    assert page[5].startswith("Trust it.") and "Next: judge it with calibrate=True" in page[5]
     assert page[6] == "Warnings: none."
     assert "x_true_m" in summary.taken["truth, unseen"]
     value, low, high = (summary.parameters[name].astype(float) for name in ("value", "low", "high"))
     assert ((low < value) & (value < high)).all()
     assert "position_sigma_m: at most 0.03, the least that is assumed" in summary.details
-    assert "(--track-width-m)" in summary.details and "(--wheel-radius-m)" in summary.details
     told = json.loads(summary.to_json())
     assert told["verdict"] == summary.verdict and told["numbers"]["hidden"] == n
     assert told["traction"]["κ"]["low"] == pytest.approx(summary.traction.loc["κ", "low"])
 
 
-def test_the_page_of_the_docs_is_that_of_the_example():
+def test_the_page_of_the_docs_is_that_of_the_example(capsys):
     """Its words are, and its numbers to a tenth, as other processors round otherwise."""
     number = r"\d+(?:\.\d+)?"
-    pages = PAGE.read_text("utf-8"), str(rhec.log(make_example_log.FILE))
+    main(["log", str(make_example_log.FILE)])
+    pages = PAGE.read_text("utf-8"), capsys.readouterr().out.strip()
     documented = re.search(r"the page is:\n\n((?:    .*\n)+)", pages[0])[1]
     documented = textwrap.dedent(documented).strip()
     words, said = (re.sub(number, "0", page) for page in (documented, pages[1]))
@@ -93,7 +93,7 @@ def test_a_robot_that_drifts_has_its_kappa_nevertheless():
 def test_without_a_test_nothing_is_trusted():
     """Twenty seconds leave no three stretches to hide."""
     verdict = rhec.log(recorded_log(5.0, 26.0, noise_m=0.02, seed=3)).verdict
-    assert verdict.startswith("Do not trust it yet: ")
+    assert verdict.startswith("Cannot tell yet: the log is too short to tell μ: drive for a minute")
 
 
 @pytest.mark.usefixtures("for_the_verdict")
@@ -120,11 +120,11 @@ def test_a_kappa_of_one_is_none_above_one():
 def test_a_late_log_is_doubted_until_it_is_calibrated():
     log = recorded_log(10.0, 120.0, noise_m=0.02, seed=3)
     log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(5)
-    assert "--calibrate" in rhec.log(log).verdict
+    assert "calibrate=True" in rhec.log(log).verdict
     calibrated = rhec.log(log, calibrate=True)
     assert calibrated.calibration["position_delay_s"] == pytest.approx(0.5, abs=0.1)
     assert calibrated.verdict.startswith("Trust it.")
-    assert "rhec log FILE --calibrate" not in calibrated.verdict
+    assert "calibrate=True" not in calibrated.verdict
     assert calibrated.judged.first.lever_arm_m == calibrated.calibration.get("lever_arm_m")
 
 
@@ -135,7 +135,7 @@ def test_a_log_without_turns_does_not_tell_kappa():
     log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5, yaw_rate_radps=0.0))
     log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
     verdict = rhec.log(log).verdict
-    assert verdict.startswith("Do not trust it yet") and "two figures of eight" in verdict
+    assert verdict.startswith("Cannot tell yet: κ is not excited: drive two figures of eight")
 
 
 @pytest.mark.usefixtures("for_the_verdict")

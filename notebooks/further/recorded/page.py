@@ -3,7 +3,7 @@
     python data/fetch_recordings.py             # four published logs, by their digests
     python -m notebooks.further.recorded.page   # what `rhec log` says of them
 
-`python -m notebooks.further.transfer` makes the table of many noise seeds, which takes an hour, and
+`python -m notebooks.further.transfer` makes the table of many noise seeds, and
 `python -m notebooks.further.recorded.verdicts` those of simulated drives. All of them go into
 figures/, where `python -m docs.site.check_figures` compares them with data/results/.
 """
@@ -149,13 +149,16 @@ def readable_unsure():
 def readable_verdicts():
     rows = []
     for (drives, n), of in _table("verdicts").groupby(["drives", "seeds"], sort=False):
-        row = [f"{of['n'].sum()} in {drives}", n]
-        for rate in ("false trust", "false alarm"):
-            one = of.set_index("rate").loc[rate]
+        by_rate = of.set_index("rate")
+        rates = ["false trust", "false alarm"]
+        row = [f"{by_rate.loc[rates, 'n'].sum()} in {drives}", n]
+        for rate in rates:
+            one = by_rate.loc[rate]
             interval = f" [{one['low']:.2f}, {one['high']:.2f}]" if one["n"] else ""
             row += [one["n"], f"{one['k']}{interval}"]
-        rows.append(row)
+        rows.append([*row, by_rate.loc["untold", "k"]])
     columns = ["drives", "seeds of a kind", "wrong", "false trust", "not wrong", "false alarm"]
+    columns += ["cannot tell"]
     return to_markdown(pd.DataFrame(rows, columns=columns))
 
 

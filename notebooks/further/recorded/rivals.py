@@ -11,6 +11,7 @@ speeds that reach the ground.
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -25,6 +26,7 @@ from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.slipping import SLIPPING
 
 _SIGMA_FIRST_M = 1.0  # of the first position
+_SIGMA_FIRST_YAW_RAD = 0.3
 
 
 def f(xi, v, p):
@@ -90,7 +92,25 @@ def replay_of(rival, settings):
     )
 
 
-def run(rival, settings, part, half_m, yaw_rad=None, sigma_yaw_rad=0.3):
+def _first_memory(rival, half_m, place, yaw_rad, sigma_yaw_rad):
+    """The memory of a rival's scan before the first sample."""
+    guess, spread = rival.first(half_m)
+    mean = np.array([*place, yaw_rad, *guess])
+    P = np.diag(np.square([_SIGMA_FIRST_M, _SIGMA_FIRST_M, sigma_yaw_rad, *spread]))
+    values = dict(zip(rival.model.joint_names, mean))
+    first = [values.get(name, 0.0) for name in rival.model.names]
+    return np.concatenate([mean, P.ravel(), np.zeros(len(rival.model.inputs) + 1), first])
+
+
+def deviances(rival, settings, part, half_m, yaw_rad):
+    """-2 log likelihood of each sample of a segment (n,); the arguments are those of `run`."""
+    how = replay_of(rival, settings)
+    place = part[MEASUREMENTS[:2]].dropna().iloc[0]
+    memory = _first_memory(rival, half_m, place, yaw_rad, _SIGMA_FIRST_YAW_RAD)
+    return how.scanned(memory, with_ages(part, how.measured))["deviance"].to_numpy()
+
+
+def run(rival, settings, part, half_m, yaw_rad):
     """Samples of a rival on one segment, with the columns of a replay.
 
     Args:
@@ -98,20 +118,12 @@ def run(rival, settings, part, half_m, yaw_rad=None, sigma_yaw_rad=0.3):
         settings: Its noise V, W and c.
         part: A segment's samples, as of `Recording.samples`.
         half_m: Half the track width [m].
-        yaw_rad: First yaw [rad]. If it is None, several directions are tried, as in a replay.
-        sigma_yaw_rad: Its standard deviation [rad].
+        yaw_rad: First yaw [rad].
     """
     how = replay_of(rival, settings)
-    guess, spread = rival.first(half_m)
-
-    def first_memory(place, yaw_rad, sigma_yaw_rad):
-        mean = np.array([*place, yaw_rad, *guess])
-        P = np.diag(np.square([_SIGMA_FIRST_M, _SIGMA_FIRST_M, sigma_yaw_rad, *spread]))
-        values = dict(zip(rival.model.joint_names, mean))
-        first = [values.get(name, 0.0) for name in rival.model.names]
-        return np.concatenate([mean, P.ravel(), np.zeros(len(rival.model.inputs) + 1), first])
-
-    found = estimated(how, with_ages(part, how.measured), first_memory, yaw_rad, sigma_yaw_rad)
+    first_memory = partial(_first_memory, rival, half_m)
+    stream = with_ages(part, how.measured)
+    found = estimated(how, stream, first_memory, yaw_rad, _SIGMA_FIRST_YAW_RAD)
     hats = found[how.hats].to_numpy()
     traction = rival.traction(hats[:, -len(rival.model.parameters) :])
     values = dict(zip(ESTIMATE, [*hats[:, :4].T, *traction]))

@@ -22,7 +22,6 @@ _FAST_RADPS = 0.8  # yaw_rms_slow_rad leaves out faster spins
 BAD_RAD = 0.5  # a larger error of the yaw is bad
 GOOD_RAD = 0.2  # a smaller one is good
 Z_95 = 1.96  # standard deviations
-_AHEAD_S = 2.0  # horizon of the predictions by the encoders
 _MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _STRAIGHT_RAD = 0.05  # most that the robot turns in a straight second
 _STRAIGHT_M = 0.3  # least that it moves
@@ -178,29 +177,6 @@ def score(samples):
             kappa_difference=values["kappa_median"] - kappa,
         )
     return values
-
-
-def ahead_rms_m(samples, predict, hats, measured=MEASUREMENTS):
-    """RMS error [m] of positions predicted from estimates and later encoder measurements.
-
-    Args:
-        samples: DataFrame of a replay's samples with the true position.
-        predict: A `replay.predictor`, which predicts for _AHEAD_S in steps of one sample.
-        hats: Columns of its estimates.
-        measured: Columns of its measurements.
-    """
-    n = round(_AHEAD_S / paper.DT_S)
-    # Each step predicts all samples of a segment at once.
-    errors = []
-    for _, part in samples.groupby("segment"):
-        estimate = part[hats].to_numpy()[:-n]
-        z = part[measured].to_numpy()
-        tau_s = np.full(len(estimate), paper.DT_S)
-        for step in range(1, n + 1):
-            estimate, _ = predict(estimate, z[step : step + len(estimate)], tau_s)
-        error = estimate[:, :2] - part[["x_m", "y_m"]].to_numpy()[n:]
-        errors.append(error[distance_driven(part)[:-n] >= FROM_M])
-    return rms(*np.concatenate(errors).T)
 
 
 def perturbed_replay(log, seed, **arguments):

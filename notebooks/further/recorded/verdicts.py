@@ -7,8 +7,8 @@ docs/recorded_robots.md. With 4 seeds these are 80 drives in closed and 44 in op
 
 A log is *wrong* if more than 5 % of its true yaws are more than 0.2 rad off, on the way or
 smoothed, if the κ of the true path is more than 0.02 outside its interval, or if fewer than 85 % of
-the true yaws on the way are within 1.96 σ. *False trust* is trust in a wrong log, *false alarm*
-none in one that is not.
+the true yaws on the way are within 1.96 σ. *False trust* is trust in a wrong log, *false alarm* "do
+not trust" of one that is not, and *untold* "cannot tell" of one that is not.
 """
 
 import sys
@@ -219,9 +219,11 @@ def rates(rows):
     table = []
     for loop, of_loop in rows.groupby("loop", sort=False):
         wrong, trusted = (of_loop[name].astype(bool) for name in ("is_wrong", "is_trusted"))
+        untold = of_loop["verdict"].str.startswith("Cannot tell")
         for rate, cases, counts in (
             ("false trust", wrong, trusted),
-            ("false alarm", ~wrong, ~trusted),
+            ("false alarm", ~wrong, ~trusted & ~untold),
+            ("untold", ~wrong, untold),
         ):
             k, n = int((cases & counts).sum()), int(cases.sum())
             low, high = share_interval(k, n) if n else (np.nan, np.nan)
