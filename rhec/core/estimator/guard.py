@@ -33,12 +33,12 @@ from rhec.core.estimator import newest_interval, noise_level
 # The feedback of `solve`, if it is another: its input `iteration` is 1 at first and then 2. That of
 # a sample without iterations is 0.
 ITERATED = "iterated_feedback"
-
-# The noise W of the window's intervals, which is remembered where process noise acts within it.
+# What the judge tells the feedback alone.
+_WITHIN = ("m_used", "P_used", "agrees", "as_measured", "is_rejected", "s_predicted")
 
 
 def noise_memory(window):
-    """{name: shape} of the noise W of all intervals, where they differ."""
+    """{name: shape} of the noise W of all intervals, where it acts within the window."""
     return dict(W_window=(window.interval.n_s, window.N)) if window.noisy else {}
 
 
@@ -47,9 +47,6 @@ def whole_noise(window, values):
     if not window.noisy:
         return {}
     return dict(W_window=ca.horzcat(values["W_window"][:, :-1], values["W_used"]))
-
-
-# The phases
 
 
 def _shapes(function, *without):
@@ -108,10 +105,6 @@ def _wrap_feedback(window, feedback_of_rhe, symbols):
         return result | told | judge.conclude(window, inputs, verdict, result) | for_expand
 
     return feedback
-
-
-# What the judge tells the feedback alone.
-_WITHIN = ("m_used", "P_used", "agrees", "as_measured", "is_rejected", "s_predicted")
 
 
 def _as_used(window, inputs, verdict, chosen):

@@ -57,7 +57,7 @@ class Tuned(NamedTuple):
     """The numbers that were chosen, not derived.
 
     They were chosen on drives 0 to 39 of the table in tests/guard_table.py; its nightly test has
-    drives 0 to 23.
+    others.
     """
 
     # name: value  # [unit] meaning
@@ -233,7 +233,9 @@ class InnovationGate:
         strays = 0
         if self.doubts_model:
             strays = _strays(at_measured, H, V, limit) * (iteration == 0)
-            at_measured, at_kept = (_straight(each, strays) for each in predictions)
+            # Then those of an EKF: from the last estimate along the model.
+            straight = (each._replace(m=ca.if_else(strays, each.s, each.m)) for each in predictions)
+            at_measured, at_kept = straight
         m, P = at_measured.given(window, z_N, noise)
         m_kept, P_kept = at_kept.given(window, kept, noise)
         S = H @ P @ H.T + ca.diag(V)
@@ -310,8 +312,7 @@ class InnovationGate:
         followed = noise_level.followed(before, run.square / _count(seen), is_told)
         louder = seen.scale * ca.fmax(run.counted["spread"], 1)
         after_it = ca.if_else(run.is_louder, louder, followed)
-        n = patience(window.N)
-        share = noise_level.share_after(before, 1 - is_used, has_any, n)
+        share = noise_level.share_after(before, 1 - is_used, has_any, patience(window.N))
         S = seen.S * (after_it / seen.scale)
         after = _remembered(run, is_used, has_any, S, before)
         after |= dict(share=share, noise_scale=after_it)
@@ -570,11 +571,6 @@ def _strays(prediction, H, V, limit):
     apart = H @ (prediction.m - prediction.s)
     S = H @ prediction.P @ H.T + ca.diag(V)
     return 1 - (_distance(apart, S, ca.SX.ones(V.numel())) <= limit)
-
-
-def _straight(prediction, strays):
-    """The prediction, or that of an EKF: from the last estimate along the model."""
-    return prediction._replace(m=ca.if_else(strays, prediction.s, prediction.m))
 
 
 def _lacks_inputs(interval, z):

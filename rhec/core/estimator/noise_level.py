@@ -38,8 +38,6 @@ class Tuned(NamedTuple):
 
 
 TUNED = Tuned()
-
-
 USUAL = dict(spread=0, line_spread=0, noise_scale=1)  # the memory of usual noise
 
 

@@ -434,7 +434,6 @@ def _predicted(interval, s_N):
 
 def _build_condition(window):
     interval = window.interval
-    places = [*interval.bounds]
     s, P, v, z, correction, q = window.shapes
     H = (len(interval.bounds), len(interval.bounds))
     newest = dict(s_N=s, B_N=interval.sparsities["B"], v_N=v, z_N=z)
@@ -447,14 +446,13 @@ def _build_condition(window):
     ):
         """The newest estimate given q:  s = m - P C' λ,  λ = H (q̂ - q), P the covariance.
 
-        Where that is not finite, the estimate is the prediction (`_predicted`), with the last input
-        as measured.
+        Where that is not finite it is `_predicted`, with the last input as measured.
         """
         s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
         multipliers = H @ (C @ m - q)
         s = m - covariance @ C.T @ multipliers
         ok = solved * is_plausible(ca.vertcat(s, ca.vec(covariance), multipliers))
-        s[places] = q  # exactly as the QP found it: s may pass a bound by a rounding error
+        s[[*interval.bounds]] = q  # exactly: by a rounding error s may pass a bound
         v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not window.quantities:
             adjoint = C.T @ multipliers
@@ -976,10 +974,7 @@ class RHE(RealTimeLoop):
 
     @property
     def rejected(self) -> float:
-        """Share of samples that were rejected as outliers, a running mean over about 30 of them.
-
-        The mean is over three windows, if these are longer.
-        """
+        """Share of rejected samples: a running mean over 30 of them, or three longer windows."""
         return self.iteration.arrays["share_after"].item()
 
     @property
