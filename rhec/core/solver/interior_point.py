@@ -280,8 +280,8 @@ def _build_start(shape):
         soft = there[shape.n_hard :, :]
         exceeded = soft * ca.fmax(-b[shape.n_hard :, :], 0)
         first = scale + ca.dot(linear, exceeded) + ca.dot(quadratic, exceeded**2) / 2
-        # A multiplier grows up to its price or the own one, that of a hard row as far as these push
-        # it, and δ has to be small beside that, too.
+        # A multiplier grows up to its price or the own one, and those of hard rows as these push
+        # them. δ has to be small beside that, too.
         highest = ca.fmin(price["linear"], own)
         push = ca.sum1(highest * ca.sqrt(compliance[shape.n_hard :]))
         highest = ca.vertcat(push * ca.sqrt(stiffness[: shape.n_hard]), highest)

@@ -14,11 +14,12 @@ where the gaps of a state count as its weight makes them, √Q or √Q_N. Those 
 count as if the way that the plan goes in it cost what a node does on average.
 
 A share that would raise it is halved until it does not. The QP's own price of hard rows is far
-above their multipliers. On an unstable plant it buys a plan that keeps the bounds of the linearised
+above usual multipliers. On an unstable plant it buys a plan that keeps the bounds of the linearised
 dynamics by going where these hold no longer. Where no share is good enough the plan stays, and the
-next QP has a tenth of that price; it rises again, step by step, once the iterations are near a
-solution that still exceeds a hard row. Without an excess the lower price is above the multipliers,
-too, and the solution is that of hard rows.
+next QP has a tenth of that price. It rises again, step by step, once the iterations are near a
+solution that still exceeds a hard row, and above the first price, too: only at the highest one does
+a bound count as one that cannot be kept. Without an excess each price is above the multipliers, and
+the solution is that of hard rows.
 """
 
 import functools
@@ -39,6 +40,7 @@ from rhec.core.solver.line_search import (
 
 RELIEF = 1  # place in `penalty` of the decades by which the QP's own price is lower
 _MOST_RELIEF = 4
+_LEAST_RELIEF = -3  # the own price may be too low where it costs much to keep a row
 _LENGTHS = 6  # that are tried, each half of the one before
 _ROUNDING = 1e-9  # of the merit
 _OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
@@ -65,7 +67,7 @@ def relaxation(name, unknowns, data, cost):
         price, excess, data) -> (unknowns, penalty_after, near, converged, done, again,
         excess_shown). `penalty` carries the last share, `relief`, μ and the last step on; at first
         it is 0, and after a QP that was not solved the share is. `again` says that a QP that was
-        not solved is to be tried with a lower price. `excess_shown` is the excess at the full
+        not solved is to be tried with a lower price. `excess_shown` is the excess at the highest
         price, 0 at a lower one, which does not tell whether the bounds can be kept.
     """
     full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
@@ -99,7 +101,7 @@ def relaxation(name, unknowns, data, cost):
         taken = share > 0
         # A comparison with a number that is none is false; then the QP was not solved, either.
         better = solved * taken
-        is_higher = better * near * (relief > 0) * (ca.norm_1(excess) > 0)
+        is_higher = better * near * (relief > _LEAST_RELIEF) * (ca.norm_1(excess) > 0)
         is_lower = has_hard * ca.logic_not(better) * (relief < _MOST_RELIEF)
         relief_after = relief - is_higher + is_lower
         is_full = ca.logic_or(ended, share == 1)
@@ -110,7 +112,7 @@ def relaxation(name, unknowns, data, cost):
         done = ca.logic_or(ended * ca.logic_not(is_higher), is_stuck)
         flags = dict(near=near, converged=converged * ca.logic_not(is_higher), done=done)
         flags |= dict(again=is_lower * ca.logic_not(solved))
-        flags |= dict(excess_shown=ca.if_else(relief > 0, 0, excess))
+        flags |= dict(excess_shown=ca.if_else(relief > _LEAST_RELIEF, 0, excess))
         # Steps with different prices do not tell how far to go.
         is_comparable = solved * (relief_after == relief)
         carry = (ca.if_else(is_comparable, share, 0), relief_after, ca.if_else(better, mu_new, mu))
