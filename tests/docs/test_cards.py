@@ -102,7 +102,7 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
         drawn = cards.interval(row | dict(other_n=9, other_value=far, other_low="", other_high=""))
         assert drawn | dict(beyond=None, words="") == alone | dict(words="")
         _, edge, to, number = drawn["beyond"]
-        assert to == side and abs(edge - 180) > 160 and number_of(number) == far
+        assert to == side and side * (edge - 180) > 160 and number_of(number) == far
         assert with_minus(str(int(far))) in drawn["words"]
     near = cards.interval(row | dict(other_n=9, other_value=0.0, other_low="", other_high=""))
     assert near["beyond"] is None and len(near["rows"]) == 2

@@ -290,9 +290,10 @@ def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
 
 
 @needs_compiler
-def test_header_and_readme_tell_the_sizes_of_memory_and_constants(exported):
+def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants(exported):
     readme = (exported("paper") / "README.txt").read_text()
     memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
+    assert float(re.search(r"every (\S+) ms", readme)[1]) == pytest.approx(1000 * paper.DT_S)
     program = (
         '#include "rhec.h"\n'
         "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"

@@ -1,5 +1,6 @@
 """The simulated robot of the closed loop against one in plain NumPy, and its position errors."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers import SIMPLE_WORLD
@@ -7,6 +8,7 @@ from oracles import DT, flat
 
 import rhec
 from rhec.tracked_robot import plant
+from rhec.tracked_robot.slipping import SLIPPING
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SUBSTEPS = 10
@@ -119,3 +121,16 @@ def test_the_position_error_has_the_deviation_and_correlation_time_asked_for():
         covariance = np.mean(errors[lag:] * errors[:-lag])
         assert covariance == pytest.approx(0.04**2 * np.exp(-lag * DT / time_s), abs=0.04**2 * 0.1)
     assert abs(np.mean(errors[:, 0] * errors[:, 1])) < 0.05**2 * 0.08
+
+
+def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_way():
+    """Variances at 0 to 3 times a motion: a s² + b s, with b where bumps turn the robot alone."""
+    noise = SLIPPING.model.motion_noise
+    constants = ca.DM([*noise.constants.values()])
+    motion = np.array([0.5, 0.3, 0.0, 0.0, 0.0])
+    found = [noise.inputs(ca.DM(s * motion), ca.DM.zeros(5), constants)[1] for s in range(4)]
+    rest, once, twice, thrice = (np.array(each).ravel() for each in found)
+    np.testing.assert_allclose(thrice - rest, 3 * (twice - once), rtol=1e-9, atol=1e-15)
+    *others, turning = (twice - rest) / np.where(once > rest, once - rest, 1)
+    np.testing.assert_allclose(others, [0, 0, 4, 4], atol=1e-9)
+    assert 2 < turning < 4

@@ -27,6 +27,15 @@ def fields():
     return np.array([(each.mu, each.kappa) for each in map(field, range(400))])
 
 
+def test_each_of_sixteen_draws_turns_or_mirrors_a_field_in_another_way():
+    """Each of them shows the whole field, of unlike numbers, that repeats itself."""
+    field = 1.0 + np.arange(49).reshape(7, 7)
+    step = 1.0, terrain.CELLS_PER_LENGTH
+    made = [terrain._window(field, 7, 7, 7, step, (0, 0, turn)) for turn in range(16)]
+    assert len({each.tobytes() for each in made}) == 16
+    assert all({*np.abs(each).ravel()} == {*field.ravel()} for each in made)
+
+
 def test_traction_is_above_0_and_at_most_1():
     for seed in range(20):
         wild = field(seed, mean=(0.5, 0.99), deviation=(0.45, 0.05))
