@@ -1,5 +1,5 @@
 # What a user sets is data: make never expands it, and the shell gets it in quotes.
-USER_SET := ID id PYTHON PYTHON_CPU_COUNT WHAT
+USER_SET := ID id CLAIM PYTHON PYTHON_CPU_COUNT WHAT
 from_outside = $(filter environment command,$(firstword $(origin $1)))
 $(foreach name,$(USER_SET),$(if $(call from_outside,$(name)),\
   $(eval override $(name) := $$(value $(name)))))
@@ -43,8 +43,8 @@ studies: $(call executed,$(STUDIES)) ## further studies: claims, faults, recorde
 check-figures: $(READY) ## compare your tables in figures/ with those that this commit made
 	@$(PY) -m docs.site.check_figures
 
-claim: $(READY) ## judge one claim of the paper again, or list all: make claim ID=B6
-	@$(PY) -m notebooks.claims "$${ID:-$$id}"
+claim: $(READY) ## judge claims of the paper again, or list all: make claim ID=B6
+	@$(PY) -m notebooks.claims "$${ID:-$${id:-$$CLAIM}}"
 
 report: build/report/index.html ## all notebooks, documents and the reference as a site in build/report/
 	@echo 'report: open build/report/index.html'

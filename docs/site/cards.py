@@ -87,6 +87,7 @@ def _card(row, live):
     """What the template needs of a row of the ledger."""
     share = interval_text(row["posterior"], row["posterior_low"], row["posterior_high"])
     row = {name: "" if pd.isna(value) else value for name, value in row.items()}
+    row |= {name: with_minus(row[name]) for name in ("claim", "test", "why", "beside")}
     colour, sign = LOOKS[row["kind"]]
     return row | dict(
         colour=colour,

@@ -1,9 +1,10 @@
-"""Judge one claim of the paper again: `python -m notebooks.claims B6` (`make claim ID=B6`).
+"""Judge claims of the paper again: `python -m notebooks.claims B5 B6` (`make claim ID="B5 B6"`).
 
 Without an id it lists all claims with the verdicts of the ledger.
 """
 
 import argparse
+import itertools
 import os
 import sys
 
@@ -13,7 +14,7 @@ from notebooks.claims import evidence
 from notebooks.claims.rules import CLAIMS
 from notebooks.studies.answer import RESULTS
 from notebooks.studies.statistics import CONFIDENCE
-from notebooks.studies.tables import interval_text
+from notebooks.studies.tables import interval_text, with_minus
 
 _FIELDS = 40  # as in the first look of the ledger
 _NOT_YET = "not judged yet"  # of a claim that the ledger in data/results does not have
@@ -43,7 +44,9 @@ def _report_lines(id_, fields):
         ValueError: If there is no such claim, or fewer than 2 fields.
     """
     if id_ not in CLAIMS:
-        raise ValueError(f"claim was {id_!r}; `make claim` without an ID lists those there are")
+        merged = [into for into, claim in CLAIMS.items() if claim.mended.startswith(f"{id_} ")]
+        known = f"it is part of {merged[0]} now" if merged else "without an ID all are listed"
+        raise ValueError(f"claim was {id_!r}; {known}")
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")
     claim = CLAIMS[id_]
@@ -53,7 +56,7 @@ def _report_lines(id_, fields):
     lines = [
         f"{id_}: {claim.claim}",
         f"  {claim.section}: “{claim.quote}”",
-        f"  test: {claim.test}",
+        f"  test: {with_minus(claim.test)}",
         f"  verdict: {verdict}{derived}",
     ]
     lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
@@ -75,7 +78,7 @@ def _line(name, found, unit=""):
 
 
 def main(arguments=None):
-    """Print a claim's sentence, its verdict and the numbers behind it, or the list of all claims.
+    """Print claims' sentences, verdicts and the numbers behind them, or the list of all claims.
 
     Args:
         arguments: Of the command line; those of the process by default.
@@ -84,16 +87,16 @@ def main(arguments=None):
         SystemExit: With code 2 and one sentence if there is no such claim, or too few fields.
     """
     parser = argparse.ArgumentParser("python -m notebooks.claims", description=__doc__)
-    text = "of the claim, for example I2; without it, all claims are listed"
-    parser.add_argument("id", nargs="?", default="", help=text)
+    text = "of a claim, for example I2; without any, all claims are listed"
+    parser.add_argument("ids", metavar="id", nargs="*", help=text)
     text = f"simulated fields, at least 2 (default: {_FIELDS})"
     parser.add_argument("--fields", type=int, default=_FIELDS, help=text)
     given = parser.parse_args(arguments)
-    if not given.id:
+    ids = " ".join(given.ids).replace(",", " ").upper().split()
+    if not ids:
         print("\n".join(_listed()))
-        return
     try:
-        for line in _report_lines(given.id.upper(), given.fields):
+        for line in itertools.chain(*(_report_lines(id_, given.fields) for id_ in ids)):
             print(line, flush=True)
     except ValueError as error:
         parser.exit(2, f"{error}\n")

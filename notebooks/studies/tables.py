@@ -10,8 +10,8 @@ import pandas as pd
 
 
 def with_minus(text):
-    """A text whose numbers have a minus in place of a hyphen; dates and words keep theirs."""
-    return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "−", text)
+    """A text whose numbers and differences have a minus; dates and words keep their hyphens."""
+    return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)|(?<= )-(?= )", "−", text)
 
 
 def three_digits(value):

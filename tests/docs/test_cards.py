@@ -40,9 +40,9 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
     assert [*all_cards] == [row["id"] for row in ROWS]
     for row in ROWS:
         text = " ".join(all_cards[row["id"]].get_text().split())
-        said = [row["quote"], row["claim"], row["section"], row["verdict"]]
-        said += [row["why"], row["beside"], row["test"] if row["test"] != "-" else ""]
-        said += [with_minus(str(row["paper"])), f"make claim ID={row['id']}"]
+        said = [row["quote"], row["section"], row["verdict"], f"make claim ID={row['id']}"]
+        ours = [row[name] for name in ("claim", "why", "beside", "paper")]
+        said += [with_minus(str(each)) for each in (*ours, row["test"].removeprefix("-"))]
         said += ["by derivation"] if row["derived"] else []
         said += ["share of the posterior’s worlds"] if row["posterior_n"] else []
         if row["n"]:
@@ -52,6 +52,12 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         shown = [item.get_text() for item in all_cards[row["id"]].select(".claim-conditions li")]
         expected = [part for part in row["conditions"].split("; ") if not part.startswith(":")]
         assert [text.partition(" ")[2] for text in shown] == expected
+
+
+def test_a_difference_has_a_minus(page):
+    _, all_cards = page
+    (rule,) = all_cards["B5"].select(".claim-words dd")[:1]
+    assert "RHE − EKF" in rule.text
 
 
 def test_the_overview_links_every_card_and_the_filter_counts_them(page):

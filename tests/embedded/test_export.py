@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -308,10 +309,12 @@ def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants
 
 @pytest.mark.nightly
 def test_memory_and_stack_are_below_256_kib(exported, built):
-    """With the paper's horizons."""
+    """With the paper's horizons, as docs/embedded.md tells it."""
     machine, objects = built("long")
     header = (exported("long") / "rhec_memory.h").read_text()
     memory = int(header.split("RHEC_MEMORY_BYTES ")[1].split()[0])
+    page = (Path(rhec.__file__).parents[1] / "docs/embedded.md").read_text(encoding="utf-8")
+    assert f"memory of the default scenario is {memory / 1024:.0f} KiB" in page
     sizes = toolchain.sizes(machine, objects)
     assert memory + np.nan_to_num(sizes["stack_bytes"]) < 256 * 1024
     assert 0 < sizes["code_bytes"] < 1024 * 1024
