@@ -85,7 +85,7 @@ def left_aligned(table):
     return shown.set_table_styles([heads])
 
 
-def readable_ledger(table, columns=("claim", "verdict", "value", "unit")):
+def readable_ledger(table, columns=("claim", "verdict", "value", "unit", "posterior")):
     """Columns of the ledger, with values and shares of worlds as "34.6 [32.3, 37.0]", by id."""
     shown = table.assign(
         value=interval_texts(table, "value"),
@@ -106,18 +106,6 @@ def failing(table):
     """The claims that hold under no condition, with the rule and the reason."""
     rows = table[table["verdict"] == FAILS]
     return readable_ledger(rows, ["claim", "test", "paper", "value", "n", "beside", "why"])
-
-
-def depending(table):
-    """The claims that hold under some conditions only."""
-    rows = table[table["verdict"].map(class_of).isin([PRINTED, DEPARTURE])]
-    return readable_ledger(rows, ["claim", "test", "value", "verdict", "conditions"])
-
-
-def in_worlds(table):
-    """The claims about driving with the share of the posterior's worlds in which each holds."""
-    rows = table[table["posterior"].notna()]
-    return readable_ledger(rows, ["claim", "verdict", "posterior"])
 
 
 def changes(table, claims):

@@ -18,7 +18,6 @@ import pandas as pd
 from notebooks.rivals import RIVALS
 from notebooks.studies.parallel import true_errors
 from notebooks.studies.statistics import over_seeds, ratio_of_means
-from notebooks.studies.tables import to_markdown
 from rhec import paper
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import path_of
@@ -231,24 +230,6 @@ def _driven(table):
     return table[table["error_m"] < paper.TOLERANCE_M]
 
 
-def rule_in_words(table):
-    """When estimating the traction pays, as sentences and a table in Markdown.
-
-    Args:
-        table: Of `worth_map`.
-    """
-    driven = _driven(table)
-    soils = driven.drop_duplicates(["kappa", "variation"])
-    gain = 1 - np.exp(np.log(soils["error_m"] / soils["error_papers_r_m"]).mean())
-    all_soils = len(table.drop_duplicates(["kappa", "variation"]))
-    return (
-        f"**Tune R first**, the controller's weight of the yaw rate: instead of the paper's "
-        f"{paper.R:g} that takes {100 * gain:.0f} % off the error of a robot that estimates, on "
-        f"the {len(soils)} of {all_soils} soils that it can drive. {against_constants(table)}\n\n"
-        + to_markdown(_by_soil(driven))
-    )
-
-
 def against_constants(table):
     """When estimating the traction pays against constants that a robot is told, in sentences.
 
@@ -272,21 +253,6 @@ def against_constants(table):
             f"is {counted.loc[str(_RIGHT), 'ratio']:.2f} times theirs."
         )
     return f"{rule}{_wrong_constants_in_words(driven)}"
-
-
-def _by_soil(driven):
-    """The worth of estimating by the soil's mean κ and by what the rival is told, as texts.
-
-    It is the geometric mean over the variations of κ. A rival is told no κ above 1.
-    """
-    worth = np.log(driven.set_index(["kappa", "told"])["mean"]).groupby(level=[0, 1]).mean()
-    told = [*map(str, ERRORS), NO_SLIP]
-    worth = np.exp(worth).unstack().reindex(columns=told).sort_index(ascending=False)
-    texts = worth.map(lambda ratio: "–" if np.isnan(ratio) else f"{ratio:.2f}")
-    texts = texts.rename(columns=_in_words)
-    soils = driven.drop_duplicates(["kappa", "variation"])["kappa"].value_counts()
-    texts.index = [f"{kappa:g} ({soils[kappa]})" for kappa in texts.index]
-    return texts.rename_axis("mean κ (soils)").reset_index()
 
 
 def _in_words(told):

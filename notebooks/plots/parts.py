@@ -30,12 +30,6 @@ def world_text(scenario):
     return "a world of its own"
 
 
-def seed_range(sweep):
-    """The number and the range of the seeds of a sweep, for a title."""
-    seeds = sorted(sweep["seed"].unique())
-    return f"{len(seeds)} seeds, {seeds[0]} to {seeds[-1]}"
-
-
 def band(axes, x, low_middle_high, label, **look):
     """Draw the middle 90 % of drives as a band and the median as a line."""
     low, middle, high = low_middle_high

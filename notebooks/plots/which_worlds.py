@@ -93,37 +93,6 @@ def posterior(worlds, table):
 
 
 @styled
-def statements(prior, posterior):
-    """Draw how often a drive meets each of the paper's statements, before and after.
-
-    Args:
-        prior: Table of `notebooks.studies.which_worlds.shares` of the prior's worlds.
-        posterior: The same of the posterior's worlds.
-
-    Returns:
-        A Figure; bars are 95 % intervals.
-    """
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.24 * len(prior) + 0.6))
-    places = np.arange(len(prior))
-    for table, name, colour, shift in [
-        (prior, "prior", GREY, -0.13),
-        (posterior, "posterior", BLUE, 0.13),
-    ]:
-        share = 100 * table["drives"]
-        ends = 100 * abs(table[["drives_low", "drives_high"]].sub(table["drives"], axis=0)).T
-        look = dict(fmt="o", color=colour, markersize=3, elinewidth=0.8, label=name)
-        axes.errorbar(share, places + shift, xerr=ends, **look)
-        for place, value in zip(places, share):
-            text = f"{value:.2g}" if value < 10 else f"{value:.3g}"
-            at = dict(xycoords=("axes fraction", "data"), color=colour)
-            note(axes, f"{text} %", (1, place), (5 + 45 * (shift > 0), 0), **at)
-    axes.set_yticks(places, prior.index)
-    axes.set(xlim=(0, 100), ylim=(len(prior) - 0.5, -0.5), xlabel="drives that meet it [%]")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
-    return figure
-
-
-@styled
 def predictions(prior, posterior):
     """Draw errors and violations of single drives, and the paper's.
 

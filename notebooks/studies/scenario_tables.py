@@ -20,7 +20,6 @@ from notebooks.studies.statistics import (
     share,
     verdict,
 )
-from notebooks.studies.tables import interval_texts
 from rhec import paper
 from rhec.simulation.campaigns.campaign import campaign
 from rhec.simulation.scenario import Scenario
@@ -258,19 +257,6 @@ def scenario_b_table(sweep):
                 gain = _gain(column, *both) | (dict(verdict=LOST) if is_lost(runs["EKF"]) else {})
                 rows += [about | gain, about | _share_below(*both)]
     return pd.DataFrame(rows)[_COLUMNS_B]
-
-
-def by_rule(table):
-    """The table of `scenario_b_table` for readers: a row an estimator and number, a column a W."""
-    shown = table[table["quantity"].isin([_QUANTITIES_B[column] for _, column in REPORTED])]
-    cells = shown.assign(cell=interval_texts(shown, "mean"))
-    index = ["turns", "quantity", "estimator"]
-    return cells.pivot_table("cell", index, "process_noise", aggfunc="first", sort=False)
-
-
-def by_turns(table, quantity=_QUANTITIES_B["mean_error_m"]):
-    """How one quantity depends on the turns: a row a pattern and estimator, a column a W."""
-    return by_rule(table).xs(quantity, level="quantity")
 
 
 def _of_estimator(estimator, column, values):

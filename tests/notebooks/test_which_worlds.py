@@ -287,13 +287,6 @@ def test_files_hold_what_the_code_drives(world):
     assert now["error"].to_numpy() == pytest.approx(then["error"].to_numpy(), rel=1e-3)
 
 
-def test_a_file_holds_a_table_to_three_digits(tmp_path):
-    drives = which_worlds.prior_drives().iloc[:64]
-    which_worlds.write(which_worlds.kept(drives * (1 + 1e-4)), tmp_path / "table.parquet")
-    again = which_worlds.read(tmp_path / "table.parquet")
-    pd.testing.assert_frame_equal(again, drives, rtol=1e-3, check_names=False)
-
-
 def test_shares_count_drives():
     """Two worlds; in the first, one of two drives is the paper's, in the second none."""
     statistics = np.tile(which_worlds.observed() + 1.0, (4, 1))

@@ -452,6 +452,21 @@ def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(
     assert_equal_rows(table, rhec.campaign(short(80), workers=1))
 
 
+def by_script(code, folder, name="-"):
+    """What becomes of Python code in a process of its own: a file of this name, or typed."""
+    if name != "-":
+        (folder / name).write_text(code)
+    return subprocess.run(
+        [sys.executable, name],
+        input=code if name == "-" else None,
+        env=os.environ | dict(PYTHONPATH=str(ROOT)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=folder,
+    )
+
+
 SCRIPT = """
 import sys, rhec
 
@@ -476,16 +491,7 @@ print(table.drop(columns="path").equals(rhec.campaign(scenarios).drop(columns="p
 @pytest.mark.parametrize("from_stdin", [False, True])
 def test_a_script_without_guard_and_what_is_typed_start_workers(tmp_path, from_stdin):
     """Classes and constants of `__main__` reach the workers; no process is left behind."""
-    (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, "-" if from_stdin else "script.py"],
-        input=SCRIPT if from_stdin else None,
-        env=os.environ | dict(PYTHONPATH=str(ROOT)),
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=tmp_path,
-    )
+    done = by_script(SCRIPT, tmp_path, "-" if from_stdin else "script.py")
     assert (done.stdout, done.stderr) == ("True\n", "")
 
 
@@ -503,18 +509,6 @@ def test_workers_end_where_their_parent_was_killed(tmp_path):
     while left_of_group(process.pid):
         assert time.monotonic() < deadline
         time.sleep(0.1)
-
-
-def by_script(code, folder, package=ROOT):
-    """What becomes of Python code in a process of its own, which finds the package in a folder."""
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | dict(PYTHONPATH=str(package)),
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=folder,
-    )
 
 
 @pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
