@@ -137,8 +137,10 @@ def _check_counting(recording):
 def _check_rounded(recording):
     """Find positions with too few digits, as a spreadsheet or a float32 has them."""
     for name in _POSITION:
-        step_m = np.diff(np.unique(recording.rows[name].dropna())).min(initial=np.inf)
-        if _ROUNDED_M < step_m < np.inf:
+        steps_m = np.diff(np.unique(recording.rows[name].dropna()))
+        step_m = steps_m.min(initial=np.inf)
+        are_multiples = np.abs(steps_m / step_m - np.round(steps_m / step_m)).max(initial=0) < 1e-3
+        if _ROUNDED_M < step_m < np.inf and are_multiples:
             yield warning(
                 "rounded",
                 f"the log's {recording.columns[name]} is rounded to {step_m:.3g} m",
