@@ -198,9 +198,10 @@ def _silence_s(rows, column):
 
 def _check_left_out(recording):
     """Tell how many values were left out, and where a new drive begins."""
+    encoders = [recording.columns[name] for name in (_NU, _OMEGA)]
     for column, n in recording.faults["left_out"].items():
         # Of so many wrong speeds others are near the right ones, and are not left out.
-        are_many = n > _MOST_SPIKES * len(recording.rows) and column != recording.columns[_X]
+        are_many = column in encoders and n > _MOST_SPIKES * len(recording.rows)
         yield (warning if are_many else note)(
             "left_out",
             f"{n} values of {column} are left out, because none is as large or so far from both "
