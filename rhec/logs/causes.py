@@ -162,6 +162,8 @@ def _never_turns(log, share):
     # That of tracks is their difference over a width that may be wrong.
     if np.ptp(omega) * (log.width_m if are_tracks else 1.0) > _EMPTY:
         return None
+    if log.rows[_NU].abs().max() < _EMPTY:  # a robot that stands
+        return None
     vertices = _vertices(log)
     course = vertices["turn"].where(~vertices["is_cusp"], 0.0).groupby(vertices["segment"]).cumsum()
     turns_rad = float(course.groupby(vertices["segment"]).agg(np.ptp).max()) if len(course) else 0.0

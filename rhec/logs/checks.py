@@ -137,8 +137,10 @@ def _check_counting(recording):
 def _check_rounded(recording):
     """Find positions with too few digits, as a spreadsheet or a float32 has them."""
     for name in _POSITION:
-        step_m = np.diff(np.unique(recording.rows[name].dropna())).min(initial=np.inf)
-        if _ROUNDED_M < step_m < np.inf:
+        steps_m = np.diff(np.unique(recording.rows[name].dropna()))
+        step_m = steps_m.min(initial=np.inf)
+        are_multiples = np.abs(steps_m / step_m - np.round(steps_m / step_m)).max(initial=0) < 1e-3
+        if _ROUNDED_M < step_m < np.inf and are_multiples:
             yield warning(
                 "rounded",
                 f"the log's {recording.columns[name]} is rounded to {step_m:.3g} m",
@@ -196,9 +198,10 @@ def _silence_s(rows, column):
 
 def _check_left_out(recording):
     """Tell how many values were left out, and where a new drive begins."""
+    encoders = [recording.columns[name] for name in (_NU, _OMEGA)]
     for column, n in recording.faults["left_out"].items():
         # Of so many wrong speeds others are near the right ones, and are not left out.
-        are_many = n > _MOST_SPIKES * len(recording.rows) and column != recording.columns[_X]
+        are_many = column in encoders and n > _MOST_SPIKES * len(recording.rows)
         yield (warning if are_many else note)(
             "left_out",
             f"{n} values of {column} are left out, because none is as large or so far from both "

@@ -267,6 +267,7 @@ def check_path(recording):
     """Find wrong units, signs and axes, and positions that are late by up to two seconds."""
     columns = recording.columns
     speed, yaw_rate = (columns[name] for name in _ENCODERS)
+    speeds = ", ".join(dict.fromkeys([speed, yaw_rate]))
     if yaw_rate == speed:
         yaw_rate += f" by {passed('track_width_m')}"
     place = ", ".join(columns[name] for name in _POSITION)
@@ -294,15 +295,15 @@ def check_path(recording):
         yield warning(
             "late_positions",
             f"the log's {place} come {motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s later than "
-            f"{', '.join(dict.fromkeys([speed, yaw_rate]))}",
+            f"{speeds}",
             f"{passed('calibrate', True)} measures the delay and makes up for it; "
             f"{passed('position_delay_s', round(motion.delay_s, 2))} alone does the latter.",
         )
     elif is_late:
         yield note(
             "early_positions",
-            f"the log's {', '.join(dict.fromkeys([speed, yaw_rate]))} seem to come "
-            f"{-motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s later than {place}",
+            f"the log's {speeds} seem to come {-motion.delay_s:.2f} ± {2 * motion.sigma_s:.2f} s "
+            f"later than {place}",
             "Either they do, or the robot was steered by its positions, so that its speeds answer "
             "them: then nothing is to be done.",
         )

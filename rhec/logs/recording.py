@@ -321,9 +321,10 @@ def _parse(log, measured, optional=None):
     values = pd.DataFrame({name: _numbers(log, column) for name, column in required.items()})
     for name, column in required.items():
         if not np.isfinite(values[name]).any():
-            first = shown(str(log[column].iloc[0]))
+            words = [f", but {shown(str(word))}" for word in log[column].dropna()[:1]]
             may_be = "; it should be in seconds, or ISO 8601" if name == "t_s" else ""
-            raise ValueError(f"the log's column {column} had no number in it, but {first}{may_be}")
+            told = "".join([*words, may_be])
+            raise ValueError(f"the log's column {column} had no number in it{told}")
     values = values.assign(segment=_segments(log))
     for name, column in (optional or {}).items():
         if column in log:

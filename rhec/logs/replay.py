@@ -146,8 +146,13 @@ class Replay(NamedTuple):
         return pd.DataFrame(np.column_stack([*arrays.values()]), columns=names)
 
     def predict(self, estimate, z, tau_s):
-        """Predict estimates and outputs, as the function of `predictor`."""
-        return predictor(self.model, self.quantities)(estimate, z, tau_s)
+        """Estimates and outputs of many rows after tau_s (n,), by `motion_of`.
+
+        A missing measurement of z (n, n_z) is replaced by the previous one.
+        """
+        held = pd.DataFrame(z).ffill().to_numpy()
+        motion = motion_of(self.model, self.quantities).map(len(estimate))
+        return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
 
 
 # The estimator's step as a scan
@@ -259,26 +264,6 @@ def motion_of(model, names):
     values |= {name: value for name, value in zip(joint, ca.vertsplit(s)) if name in values}
     results = [ca.vertcat(*values.values()), model.measurement(x, u, p)]
     return ca.Function("motion", [estimate, z, tau_s], results)
-
-
-def predictor(model, names):
-    """A function that predicts many estimates of a Model at once, by `motion_of`.
-
-    Args:
-        model: The Model.
-        names: Names of the entries of an estimate, in order.
-
-    Returns:
-        Function of arrays (estimate (n, names), z (n, n_z), tau_s (n,)) -> [estimate, outputs]. A
-        missing measurement is replaced by the previous one.
-    """
-
-    def predict(estimate, z, tau_s):
-        held = pd.DataFrame(z).ffill().to_numpy()
-        motion = motion_of(model, names).map(len(estimate))
-        return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
-
-    return predict
 
 
 # A segment

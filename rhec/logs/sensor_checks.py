@@ -65,7 +65,7 @@ def _cause(ratio, unit):
     if len(ratio) < _LEAST_WINDOWS:
         return None
     low, middle, high = ratio.quantile([0.25, 0.5, 0.75])
-    if low < -_OTHER_AXIS < _OTHER_AXIS < high:
+    if unit == "rad/s" and low < -_OTHER_AXIS < _OTHER_AXIS < high:
         return "may be by another clock, or of another drive"
     if abs(middle) < _OTHER_AXIS:
         return "may be of another axis and should be of the vertical one"
