@@ -142,6 +142,27 @@ def test_rows_without_a_price_are_hard_ones_wherever_they_can_be_kept():
     assert 5 <= sum(kept) <= 15
 
 
+def test_a_row_with_a_price_that_is_never_near_its_bounds_moves_nothing():
+    """It raises the price that rows without one get, and so takes digits from all that is kept."""
+    rng, (N, n, m, rows, _) = np.random.default_rng(8), SIZES[0]
+    solve = solver(N, n, m, m + rows + 1, rows + 1)
+    unit = np.eye(n + m)[:1]
+    checked = 0
+    for _ in range(10):
+        given, prices = qp_without_prices(rng, N, n, m, rows)
+        feasible, expected = by_qpoases(given, NO_SOFT_ROWS)
+        if not feasible:
+            continue
+        added = dict(G=unit, lower=[[-1e3]], upper=[[1e3]])
+        given |= {name: [np.vstack([b, row]) for b in given[name]] for name, row in added.items()}
+        prices = {name: np.append(of, 1e6 * (name == "linear")) for name, of in prices.items()}
+        found = solve(**{name: np.hstack(parts) for name, parts in given.items()}, **prices)
+        assert found["solved"] == 1 and found["iterations"] <= 20
+        np.testing.assert_allclose(found["z"], expected, rtol=0, atol=2e-7)
+        checked += 1
+    assert checked >= 5
+
+
 def test_what_cannot_be_kept_is_exceeded_as_little_as_possible():
     """The sum of a row's excess is the least there is, as qpOASES finds with that cost alone."""
     rng, (N, n, m, _, _) = np.random.default_rng(6), SIZES[0]
