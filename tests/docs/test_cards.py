@@ -98,6 +98,10 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
                 assert number <= other or at >= elsewhere - 0.1, row["id"]
         assert all(0 <= at <= 360 for _, at in pairs), row["id"]
         assert len(drawn["ticks"]) > 1, row["id"]
+        ticks = sorted(drawn["ticks"])
+        for (at, text), (next_at, next_text) in zip(ticks, ticks[1:]):
+            # Both are centred, of characters that are about 6 wide.
+            assert next_at - at > 6 * (len(text) + len(next_text)) / 2, row["id"]
 
 
 def test_a_lost_rival_far_away_leaves_the_others_apart():

@@ -88,6 +88,7 @@ def test_of_two_topics_of_a_type_the_first_has_the_positions_and_the_last_the_sp
         log = rhec.logs.read(file, topics=(first, last))
         found = log[["x_m", "y_m", "speed_mps", "yaw_rate_radps"]].iloc[0]
         assert tuple(found) == (*of_topic[first][:2], *of_topic[last][2:])
+        assert "gyro" not in log.attrs["inferred"]  # which none of the topics is for
 
 
 def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):

@@ -3,6 +3,7 @@ verdicts by the rule.
 """
 
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -156,6 +157,11 @@ def test_axes_have_units_and_no_text_is_cut_off_or_over_another(drawn):
         both = [text for each in figure.axes for text in (each.get_xlabel(), each.get_ylabel())]
         labels = [*filter(None, both)]
         assert labels and all("[" in label for label in labels), (name, labels)
+        for axes in figure.axes:
+            # Numbers beside an axis are those of a quantity.
+            texts = [tick.get_text() for tick in axes.get_yticklabels()]
+            has_numbers = axes.axison and any(re.fullmatch(r"−?[\d.]+", text) for text in texts)
+            assert axes.get_ylabel() or not has_numbers, (name, axes.get_xlabel())
 
 
 def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):

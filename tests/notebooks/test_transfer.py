@@ -9,8 +9,6 @@ from notebooks.further import transfer
 from notebooks.further.recorded import rivals, scores
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
-pytestmark = pytest.mark.nightly
-
 
 def test_equal_tracks_and_a_centre_at_the_antenna_are_the_papers_model():
     """α of both tracks is μ; they roll about ±b/2 · μ/κ."""
@@ -36,6 +34,18 @@ def test_the_robot_turns_about_its_centres():
     assert ahead + 0.3 * turning == pytest.approx(0.8 * (nu + delta))
 
 
+@pytest.mark.parametrize("name", rivals.RIVALS)
+def test_the_traction_of_a_rival_is_the_speed_ahead_by_nu_and_the_turning_by_omega(name):
+    """Of its own model, at the origin, also with unlike tracks."""
+    rival = rivals.RIVALS[name]
+    p = np.array([0.4, -0.3, 0.7, 0.9, 0.8, 0.25])[: len(rival.model.parameters)]
+    by_nu, by_omega = (
+        np.array(rival.model.dynamics([0.0] * 3, inputs, p)).ravel() for inputs in np.eye(5)[:2]
+    )
+    mu, kappa = rival.traction(p[None])
+    assert (*mu, *kappa) == pytest.approx((by_nu[0], by_omega[2])) and mu != kappa
+
+
 @pytest.mark.parametrize("angle_rad", [0.0, 0.04, -0.04])
 def test_the_angle_of_a_reference_is_that_between_its_yaw_and_the_way(angle_rad):
     """On a straight, forwards and backwards; side slip in turns does not count."""
@@ -44,6 +54,7 @@ def test_the_angle_of_a_reference_is_that_between_its_yaw_and_the_way(angle_rad)
     assert scores.mounting_angle_rad(turned) == pytest.approx(angle_rad, abs=2e-3)
 
 
+@pytest.mark.nightly
 def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
     log = recorded_log(noise_m=0.0).assign(speed_mps=lambda log: 3.6 * log["speed_mps"])
     with pytest.raises(ValueError, match="km/h"):
@@ -51,6 +62,7 @@ def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
     scores.perturbed_replay(log, 0, trust_log=True)
 
 
+@pytest.mark.nightly
 def test_each_robot_is_left_out_once():
     logs = {
         name: recorded_log(5.0, 30.0, seed=seed, arm_m=arm)
