@@ -45,7 +45,8 @@ def _report_lines(id_, fields):
     """
     if id_ not in CLAIMS:
         merged = [into for into, claim in CLAIMS.items() if claim.mended.startswith(f"{id_} ")]
-        known = f"it is part of {merged[0]} now" if merged else "without an ID all are listed"
+        lists = "`make claim` without an ID lists those there are"
+        known = f"it is part of {merged[0]} now" if merged else lists
         raise ValueError(f"claim was {id_!r}; {known}")
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")

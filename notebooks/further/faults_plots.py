@@ -54,6 +54,7 @@ def fault_overview(table, n):
     figure.legend(
         *errors.get_legend_handles_labels(), loc="outside upper center", ncols=3, title=title
     )
+    figure.get_layout_engine().set(w_pad=0.1)  # letters are wider in print than when laid out
     return figure
 
 

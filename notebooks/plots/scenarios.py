@@ -23,7 +23,7 @@ _TRACTION_BAR = dict(extend="min", fraction=0.03, pad=0.02)
 _KKT = {"RHE": "RHE", "RHC": "oracle"}
 _LEAST_KKT = 1e-5
 _POOLED = round(1 / paper.DT_S)  # samples of one second
-_MARGIN_M = 2.0  # around a drive on the map
+_MARGIN_M = 3.0  # around a drive on the map
 _MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
 _MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
 _MOST_DIFFERENCE_M = 0.05  # ends of the axis of the difference of two errors
@@ -177,7 +177,7 @@ def slip_fields(terrain, path, title):
         path: The rhec.Path.
         title: Name of the fields.
     """
-    figure, both = parts.panels_beside(2, 2.0)
+    figure, both = parts.panels_beside(2, 3.0)
     for axes, values, name in zip(both, (terrain.mu, terrain.kappa), (r"$\mu$", r"$\kappa$")):
         image = _field(axes, terrain, values)
         _reference(axes, path)

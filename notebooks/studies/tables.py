@@ -82,6 +82,7 @@ def readable(table, transposed=False):
     if "paper" in table:
         shown = shown.join(_papers(table, labels))
     shown = shown.reindex(table["quantity"].unique()).fillna("").rename_axis(None, axis=1)
+    shown = shown.rename(index=with_minus, columns=with_minus)
     return shown.T if transposed else shown
 
 

@@ -692,10 +692,10 @@ def test_a_tenth_of_w_is_a_tenth_of_the_worlds_own():
 
 def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     drawn["advantage"] = 0.5
-    command.main(["B6", "--fields", "12"])
+    command.main(["b6, I1", "--fields", "12"])
     text = capsys.readouterr().out
     claim = ledger.CLAIMS["B6"]
-    assert claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert ledger.CLAIMS["I1"].quote in text and claim.quote in text and claim.section in text and "verdict: holds" in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
 
 
@@ -758,6 +758,7 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(capsys):
             call()
     for words, sentence in (
         (["Z9"], "claim was 'Z9'; `make claim` without an ID lists"),
+        (["K2"], "claim was 'K2'; it is part of K1 now"),
         (["B6", "--fields", "1"], "fields was 1; it should be 2 or more"),
     ):
         with pytest.raises(SystemExit) as refused:

@@ -36,9 +36,9 @@ def test_a_ratio_is_that_of_the_means_of_the_weights_it_names():
         assert ratio.mean == pytest.approx(values[one] / values[other])
 
 
-def test_numbers_have_a_minus_and_words_keep_their_hyphens():
+def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():
     text = "-0.3 [-1.2, -3e-05] on 2024-07-29, left-right, x - y"
-    assert tables.with_minus(text) == "−0.3 [−1.2, −3e−05] on 2024-07-29, left-right, x - y"
+    assert tables.with_minus(text) == "−0.3 [−1.2, −3e−05] on 2024-07-29, left-right, x − y"
     assert tables.three_digits(-1234.5) == "−1234" and tables.signed(0.5) == "+0.500"
 
 
