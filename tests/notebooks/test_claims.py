@@ -680,7 +680,7 @@ def test_a_tenth_of_w_is_a_tenth_of_the_worlds_own():
 
 def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     drawn["advantage"] = 0.5
-    command.main(["B6", "--fields", "12"])
+    command.main(["b6", "--fields", "12"])  # in either case
     text = capsys.readouterr().out
     claim = ledger.CLAIMS["B6"]
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
