@@ -86,6 +86,8 @@ class Numbers:
 
     def __init__(self, table, turns=None):
         self.turns = turns or next(iter(table["turns"]))
+        # Read from a file, what the paper does not report is NaN, else it is empty.
+        table = table.assign(paper=pd.to_numeric(table["paper"], errors="coerce"))
         rows = table[table["turns"] == self.turns]
         self._rows = rows.set_index(["estimator", "quantity", "process_noise"]).sort_index()
 
@@ -99,7 +101,7 @@ class Numbers:
         if is_lost(self.row(estimator, _ERROR, rule)["mean"]):
             return LOST_ITSELF
         within = WITHIN_COUNTS if quantity == _VIOLATIONS else WITHIN
-        paper_number = float(row["paper"])
+        paper_number = row["paper"]
         return verdict_on_number(
             row["low"], row["high"], row["p5"], row["p95"], paper_number, within
         )
@@ -201,7 +203,7 @@ def _said_of_number(numbers, estimator, quantity, rule):
     if word != NOT_MET:
         return word
     row = numbers.row(estimator, quantity, rule)
-    return _SMALLER if row["mean"] < float(row["paper"]) else _LARGER
+    return _SMALLER if row["mean"] < row["paper"] else _LARGER
 
 
 def _order_cell(numbers, rule):
@@ -273,7 +275,7 @@ def scenario_b_numbers(table):
         found = {rule: numbers.row(whose, quantity, rule) for rule in _RULES}
         first = found["printed"]
         row = {f"mean of {first['n']} drives [95 % interval]": label}
-        row["the paper"] = _NONE if pd.isna(first["paper"]) else f"{float(first['paper']):g}"
+        row["the paper"] = _NONE if pd.isna(first["paper"]) else f"{first['paper']:g}"
         # Errors and counts are not negative, only their differences are.
         least = -float("inf") if whose == _GAIN else 0.0
         row |= {noise_text(rule): _with_interval(ours, least) for rule, ours in found.items()}
@@ -408,8 +410,8 @@ def _says_lost(patterns):
 def _says_error(numbers):
     """Whether the RHE as printed has the paper's mean error."""
     row = numbers.row("RHE", _ERROR, "printed")
-    ours = f"{row['mean']:.4f} for {float(row['paper']):.4f} m"
-    than = "smaller" if row["mean"] < float(row["paper"]) else "larger"
+    ours = f"{row['mean']:.4f} for {row['paper']:.4f} m"
+    than = "smaller" if row["mean"] < row["paper"] else "larger"
     said = {
         MET: f"is that of the paper ({ours})",
         POSSIBLE: f"is {than} than the paper's, which is possible for one drive ({ours})",

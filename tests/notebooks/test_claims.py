@@ -692,10 +692,11 @@ def test_a_tenth_of_w_is_a_tenth_of_the_worlds_own():
 
 def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     drawn["advantage"] = 0.5
-    command.main(["b6, I1", "--fields", "12"])
+    command.main(["b6, I1", "--fields", "12"])  # in either case
     text = capsys.readouterr().out
     claim = ledger.CLAIMS["B6"]
-    assert ledger.CLAIMS["I1"].quote in text and claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert ledger.CLAIMS["I1"].quote in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
 
 

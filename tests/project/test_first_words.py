@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import rhec
-from notebooks.claims.__main__ import main as claim
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +38,3 @@ def test_a_first_mistake_is_told_what_to_write_instead(rhc):
         with pytest.raises(error, match=sentence):
             call()
     assert "sfot" not in rhec.WORLDS and rhec.WORLDS.get("sfot") is None
-
-
-def test_the_case_of_a_claim_does_not_matter(capsys):
-    claim(["t7", "--fields", "2"])
-    # What is compiled is told before.
-    assert "\nT7: " in f"\n{capsys.readouterr().out}"

@@ -97,7 +97,7 @@ def processes_with(name, value):
     return found
 
 
-@pytest.mark.parametrize("engine", ["own", "dask", "mpi"])
+@pytest.mark.parametrize("engine", ["dask", "mpi"])
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(engine, tmp_path):
     """A terminal sends it to the workers, too."""
     process = begun(
