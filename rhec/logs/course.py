@@ -44,6 +44,7 @@ class Tuned(NamedTuple):
 
     # name: value  # [unit] meaning
     piece_s: float = 2.0  # [s] length of a piece of the path; every other one is compared
+    least: float = 4.0  # [standard deviations of a position] a shorter piece has no course
     pieces: int = 100  # [1] over which is averaged; before a tenth of them nothing is said
     quiet_rad: float = 0.07  # [rad] of a course that swings without side slip
     noise: float = 1.5  # [1] of the positions, times its variance, which lengthens pieces, too
@@ -86,14 +87,14 @@ def _courses(samples, psi, sigma_m):
     way = place[end] - place[begin]
     told = told[end] - told[begin]
     length = np.minimum(np.abs(way), np.abs(told))
-    # Noise of variance σ² at both ends turns a piece by 2 σ²/length², which is below 1 rad².
-    has_course = length**2 > 2 * TUNED.noise * sigma_m**2
+    has_course = length > TUNED.least * sigma_m
     course = (way * told.conj())[has_course]
     length = length[has_course]
     return pd.DataFrame(
         dict(
             course=course / np.abs(course),
             weight=np.minimum(length, 1.0),
+            # Noise of variance σ² at both ends turns a piece by 2 σ²/length².
             noise=2 * TUNED.noise * (sigma_m / length) ** 2,
         ),
         index=end[has_course],

@@ -110,13 +110,6 @@ def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
 
 
 @pytest.mark.nightly
-def test_what_the_receiver_declares_is_the_least_noise(wandered):
-    log, _ = wandered
-    found = rhec.calibrate(log.assign(position_sigma_m=0.8), trust_log=True)
-    assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
-
-
-@pytest.mark.nightly
 def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
     """Positions hidden for ten seconds judge it: here one that trusts no encoder."""
     log, found = calibrated(0.03)

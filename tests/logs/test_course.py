@@ -10,6 +10,7 @@ from helpers import may_be_unsure, recorded_log, warns_of_an_unknown_yaw
 from scipy.signal import lfilter
 
 import rhec
+from notebooks.further.recorded import verdicts
 from rhec import paper
 from rhec.logs import course
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
@@ -174,6 +175,12 @@ def test_a_slip_that_begins_is_seen_within_a_minute():
     after[MEASUREMENTS[:2]] += place.to_numpy()
     sigma = course.yaw_sigma_rad(pd.concat([before, after], ignore_index=True), 0.02)
     assert (sigma[:1500] == 0).all() and (sigma[1800:] > 0.25).mean() > 0.9
+
+
+def test_a_robot_that_turns_back_does_not_slip_sideways():
+    """Its way over 2 s is short there, and the course of that says nothing."""
+    result = rhec.replay(verdicts.open_loop_log(560_004), smooth=False, trust_log=True)
+    assert (result["sigma_by_course_rad"] > UNSURE_RAD).mean() < 0.02
 
 
 def test_some_outliers_are_no_side_slip():
