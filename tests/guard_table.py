@@ -596,3 +596,36 @@ def breaches(rhe_row, ekf_row, moved):
         back=rhe_row.back > ekf_row.back + LATER_BACK,
     )
     return [name for name, is_broken in broken.items() if is_broken]
+
+
+# {row: what it breaks of the rule, and its largest figure} on drives 1000 to 1119. A window that
+# restarts with a wrong heading finds it later, some noisy positions follow each other by chance,
+# and a robot that stands tells nothing of its speed and traction.
+KNOWN = {
+    Case("paper, printed", "first", "4 wild of 5 m"): dict(back=20),
+    Case("paper, printed", "first", "1.2 m, then 30 m"): dict(back=21),
+    Case("paper, printed", "first", "1.2 m, then 1000 m"): dict(back=20),
+    Case("paper, printed", "later", "burst 5 s of 3 m"): dict(back=36),
+    Case("paper, printed", "later", "burst 5 s of 10 m"): dict(back=37),
+    Case("paper, printed", "later", "positions 0.3 m off, 26 s"): dict(worst=0.545),
+    Case("paper, printed", "later", "white noise 0.6 m, 26 s"): dict(back=13),
+    Case("paper, printed", "later", TURNED): dict(back=27),
+    Case("paper, printed", "later", STANDS): dict(worst=0.412),
+    Case("paper, consistent", "first", "1.2 m, then 1000 m"): dict(back=14),
+    Case("paper, consistent", "later", STANDS): dict(worst=0.208),
+    Case("bicycle", "later", "encoders dead 5 s"): dict(back=28),
+    Case("unicycle", "later", "stuck 5 s"): dict(back=25),
+    Case("unicycle", "later", "encoders dead 5 s"): dict(back=24),
+    Case("unicycle", "later", "left encoder dead 5 s"): dict(back=28),
+    Case("unicycle", "later", TURNED): dict(back=26),
+    Case("jumping bicycle, 2 m/s", "later", "positions 0.1 m off, 26 s"): dict(worst=0.231),
+    Case("jumping bicycle, 2 m/s", "later", "positions 0.3 m off, 26 s"): dict(worst=1.12),
+    Case("jumping bicycle, 3 m/s", "later", "positions 0.1 m off, 26 s"): dict(worst=0.238),
+    Case("jumping bicycle, 3 m/s", "later", "positions 0.3 m off, 26 s"): dict(worst=3.06),
+    Case("jumping bicycle, 4 m/s", "later", "positions 0.1 m off, 26 s"): dict(worst=0.641),
+    Case("jumping bicycle, 4 m/s", "later", "positions 0.3 m off, 26 s"): dict(worst=3.77),
+    Case("jumping bicycle, 4 m/s", "later", "white noise 0.1 m, 26 s"): dict(worst=0.355),
+    Case("jumping unicycle, 2 m/s", "later", "inputs missing 5 s"): dict(worst=2.46, back=29),
+    Case("jumping unicycle, 2 m/s", "later", "turn missing 2 s"): dict(worst=2.05),
+    Case("jumping unicycle, 2 m/s", "later", "positions 0.3 m off, 26 s"): dict(worst=1.44),
+}

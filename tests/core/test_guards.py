@@ -52,6 +52,21 @@ def test_wild_first_samples_do_not_make_noise_of_the_good_ones_after_them(proces
     assert_kept(table.Case(f"paper, {process_noise}", "first", "4 wild of 1000 m"), range(6))
 
 
+@pytest.mark.parametrize(
+    ("case", "seed"),
+    [
+        (table.Case("paper, printed", "later", "burst 5 s of 3 m"), 2022),
+        (table.Case("bicycle", "later", table.TURNED), 1029),
+        (table.Case("bicycle", "later", "encoders dead 5 s"), 2015),
+    ],
+    ids=str,
+)
+def test_a_window_that_restarts_with_a_wrong_heading_is_turned_before_long(case, seed):
+    """Once it has restarted for about as many samples as it holds; these restarted on and on."""
+    ours, _, _ = table.rows_of(case, range(seed, seed + 1))
+    assert ours.lost == 0 and ours.back <= 2 * 15
+
+
 @functools.cache
 def found(robot, fault="none", when="later", judge=table.ANY):
     """The spoiled Drives, the estimates and `ok` of the RHE on them."""
