@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import SIMPLE_WORLD
+from helpers import SIMPLE_WORLD, no_compiler
 from oracles import DT, flat
 
 import rhec
@@ -134,3 +134,14 @@ def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_
     *others, turning = (twice - rest) / np.where(once > rest, once - rest, 1)
     np.testing.assert_allclose(others, [0, 0, 4, 4], atol=1e-9)
     assert 2 < turning < 4
+
+
+@pytest.mark.parametrize("speed_mps, place", [(0.0, 4), (0.5, 5)])
+def test_an_estimate_of_traction_may_be_none(speed_mps, place):
+    """Eq. (14): of tracks that run in place, μ is 0; of a robot that they do not turn, κ is."""
+    with no_compiler():
+        mhe = rhec.RHE(process_noise="prediction")
+        for k in range(100):
+            mhe.prepare()
+            found = mhe.feedback([1.0 + speed_mps * DT * k, 2.0, 0.5, 0.1])
+    assert 0 <= [*found.pose, *found.p][place] < 0.02
