@@ -683,7 +683,8 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     command.main(["b6, I1", "--fields", "12"])
     text = capsys.readouterr().out
     claim = ledger.CLAIMS["B6"]
-    assert ledger.CLAIMS["I1"].quote in text and claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert claim.quote in text and claim.section in text and "verdict: holds" in text
+    assert ledger.CLAIMS["I1"].quote in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
 
 
