@@ -195,7 +195,7 @@ class Explorer(widgets.VBox):
         groups["Save"] = [self.folder, self.name, self.save]
         boxes = [widgets.VBox(group) for group in groups.values()]
         width = "344px"
-        size = {"width": width, "flex": f"0 0 {width}"}
+        size = {"width": width, "max_width": "100%", "flex": f"0 0 {width}"}
         tabs = widgets.Tab(boxes, titles=[*groups], layout=size)
         size = {"flex": "1 1 480px", "min_width": "0"}
         right = widgets.VBox([self.screen], layout=size)
