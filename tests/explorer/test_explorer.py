@@ -99,6 +99,17 @@ def test_each_parameter_of_a_scenario_has_a_control_or_a_reason():
     )
 
 
+def test_each_slider_has_its_first_value_between_its_ends():
+    """Of a logarithmic one the ends are powers of ten."""
+    values = controls.values_of(SHORT)
+    sliders = [each for each in controls.CONTROLS.values() if isinstance(each, controls.Slider)]
+    for slider in sliders:
+        assert slider.low < slider.high and 0 < slider.step < slider.high - slider.low, slider.key
+        value = values[slider.key]
+        place = np.log10(value) if slider.kind == "log" else value
+        assert slider.low <= place <= slider.high, slider.key
+
+
 def test_own_process_noise_has_the_size_each_estimator_takes():
     """The slider's entry stays, and what is not estimated falls out."""
     values = controls.values_of(SHORT) | {"process_noise": "custom", ("sigma_w", 3): 0.5}

@@ -25,6 +25,7 @@ from rhec import paper
 from rhec.cli import main
 from rhec.logs import path_checks
 from rhec.logs import replay as module
+from rhec.logs.checks import facts
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.recording import prepare
 
@@ -490,3 +491,12 @@ def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
     assert main(["log", str(tmp_path / "east.csv"), "--check", "--columns", "x_m=east"]) == 0
     assert main(["log", str(tmp_path / "none.csv"), "--check"]) == 2
     assert "none.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_rates_are_told_of_positions_and_of_encoders(every):
+    log = recorded_log(10.0, 20.0)
+    log.loc[log.index % every > 0, ["x_m", "y_m"]] = np.nan
+    found = facts(prepare(log))
+    rates = found["positions_hz"], found["encoders_hz"]
+    assert rates == pytest.approx((10.0 / every, 10.0), rel=1e-6)
