@@ -79,7 +79,8 @@ bench: .venv/peers .venv/acados ## compare times with other tools, in docs/perfo
 nightly: $(READY) .venv/engines ## what takes long: every test, failing sensors, killed workers, fuzzing, studies
 	@$(MAKE) test WHAT=--thorough
 	@$(MAKE) figures studies
-	@$(PY) data/fetch_recordings.py && $(PY) -m notebooks.further.recorded.page
+	@$(PY) data/fetch_recordings.py && $(PY) -m notebooks.further.recorded.page && \
+	  $(PY) -m notebooks.further.transfer
 	@$(PY) -m notebooks.further.recorded.verdicts
 	@$(MAKE) check-figures
 	@$(MAKE) test-browser
