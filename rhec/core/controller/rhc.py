@@ -141,8 +141,8 @@ class RHC(RealTimeLoop):
     def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
 
-        Without a plan it starts from a robot that stays where it is, with no inputs. References are
-        0 until they are given again.
+        Without a plan it starts from a robot that stays where it is, with commands of 0, or the
+        nearest number within their bounds. References are 0 until they are given again.
 
         Args:
             u_plan: (n_u, N) or (n_u,) planned inputs. Commands beyond a bound begin at it, and
@@ -361,8 +361,7 @@ class RHC(RealTimeLoop):
         memory = self.first_memory(x, p)
         memory["u"][len(self.stages.model.inputs) :] = self._known
         if self._initial:
-            # A line search would refuse the way back to the bounds, where it raises the cost.
-            # Their bounds are the first of all.
+            # The bounds of commands are the first of all.
             bounds = (self.settings[name][: self.stages.n_c] for name in ("lower", "upper"))
             planned = planned_memory(self.stages, self._initial, *bounds, x, p, self._known)
             memory |= planned
