@@ -23,7 +23,7 @@ from rhec.core.controller.initial_plan import checked_plan, planned_memory
 from rhec.core.controller.phases import build_phases, init
 from rhec.core.controller.problem import Options, problem_of
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.known import take_known
+from rhec.core.model.known import checked_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
@@ -124,7 +124,7 @@ class RHC(RealTimeLoop):
         n_u = len(stages.model.inputs)
         self._known = self._inputs["u_ref"][n_u:]
         self._known[:] = np.nan
-        self._inputs["u_ref"] = self._inputs["u_ref"][:n_u]
+        self._inputs |= dict(u_ref=self._inputs["u_ref"][:n_u], known=self._known)
 
     def first_memory(self, x: Any, p: Any) -> dict:
         """The memory before the first sample: the robot stays at x, and nothing is planned.
@@ -294,7 +294,7 @@ class RHC(RealTimeLoop):
 
     def _set_problem(self, x, p, x_ref, u_ref, y_ref, u_before, known):
         """Copy the new data in; references that are constant are repeated along the horizon."""
-        take_known(self.stages.model.known, known, self._known)
+        known = checked_known(self.stages.model.known, known, self._known)
         before = self._before if u_before is None else self._commands_before(u_before)
         given = dict(x=x, p=p, u_ref=u_ref)
         given |= {k: v for k, v in dict(x_ref=x_ref, y_ref=y_ref).items() if v is not None}
@@ -304,7 +304,7 @@ class RHC(RealTimeLoop):
             array = self._inputs[name]
             if array.ndim == 2 and np.shape(value) in ((), array.shape[:1]):
                 given[name] = np.broadcast_to(np.reshape(value, (-1, 1)), array.shape)
-        self._set_inputs(**given)
+        self._set_inputs(**given, known=known)
         if self.stages.model.heading is not None:
             self._take_up_to_turns()
         if before is not None:
