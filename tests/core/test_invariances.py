@@ -325,6 +325,31 @@ def test_estimates_and_commands_of_any_robot_follow(row):
     assert_follows(*row)
 
 
+def plans(world):
+    """The commands that a plan has after 1, 2, … 8 iterations."""
+    robot = world["robot"]
+    quantities = dict(x=robot.states, p=robot.parameters, x_ref=robot.states, u_ref=robot.inputs)
+    given = {key: told(world, key, names) for key, names in quantities.items()}
+    mpc = controller(world, in_lane=False)
+    found = []
+    for iterations in range(1, 9):
+        mpc.restart()
+        mpc.solve(**given, iterations=iterations)
+        found.append(mpc.u_plan.T)
+    return by_name(robot.inputs, np.concatenate(found))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_each_iteration_goes_as_far_whatever_the_units_of_states_are(robot):
+    """From far away, where steps are shortened, so that what is missing between nodes counts."""
+    robot, rng = ROBOTS[robot], np.random.default_rng(7)
+    world = world_of(robot)
+    for _ in range(2):
+        far = {name: x + 4 * rng.normal() for name, x in world["x"].items()}
+        for change in ("in mm", "each in a unit of its own"):
+            assert largest_difference(plans, world | dict(x=far), TOLD[change](robot)) < 1e-6
+
+
 @pytest.mark.nightly
 @pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 @pytest.mark.parametrize("change", TOLD)
