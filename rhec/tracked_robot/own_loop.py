@@ -192,7 +192,7 @@ class RHC(rhc.RHC):
         self._qp = qp
         weights = dict(q=q, r=r, qn_factor=qn_factor)
         super().__init__(**options_of(**weights, omega_max=omega_max, dt=dt, horizon=horizon))
-        pose, p, xi_ref, (omega_ref,) = self._inputs.values()
+        pose, p, xi_ref, (omega_ref,), _ = self._inputs.values()
         self._inputs = dict(pose=pose, p=p, xi_ref=xi_ref, omega_ref=omega_ref)
         # A memoryview returns a float faster than an array does.
         self._plan = memoryview(self.iteration.arrays["u_plan"])

@@ -132,6 +132,38 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(case):
     assert active >= 2
 
 
+FAST = dict(velocity_mps=(-0.9, 0.9))
+STEADY = dict(delta_bounds=dict(acceleration_mps2=(-0.25, 0.25)))
+
+
+@pytest.mark.parametrize(("bounds", "changes"), [({}, {}), (FAST, {}), ({}, STEADY)])
+def test_a_first_plan_of_nothing_is_not_kept_where_the_bounds_exclude_it(bounds, changes):
+    """Nor is a plan that `update` leaves beyond the bounds: each is cheaper than what they allow.
+
+    The cart has to be pushed away from where it should be.
+    """
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        side, nearest, width = rng.choice([-1, 1]), *rng.uniform(0.05, 0.3, 2)
+        pushed = dict(acceleration_mps2=np.sort([side * nearest, side * (nearest + width)]))
+        options = CART | changes | dict(bounds=bounds | pushed)
+        given = dict(x=(0.0, 0.0), p=(0.0,), x_ref=(0.0, 0.0))
+        solved, live, updated = (controller(options) for _ in range(3))
+        solved.solve(**given)
+        live.step(**given)
+        updated.update(bounds=bounds | dict(acceleration_mps2=(-1, 1)))
+        updated.solve(**given, u_ref=-side)
+        updated.update(bounds=bounds | pushed)
+        updated.solve(**given, u_before=(side * nearest,) if changes else None)
+        optimum = PlanProblem(options).solve(**given, u=solved.u_plan)
+        assert optimum.solved
+        for mpc in (solved, live, updated):
+            assert mpc.ok
+            low, high = pushed["acceleration_mps2"]
+            assert low <= mpc.u_plan.min() and mpc.u_plan.max() <= high
+            np.testing.assert_allclose(mpc.u_plan, optimum.u, rtol=0, atol=1e-6)
+
+
 def test_the_first_feedback_is_iterated_and_solve_tells_whether_it_converged():
     """From rest before an obstacle, where a single step would be far from the optimum."""
     given = obstacle_instance(np.random.default_rng(7))

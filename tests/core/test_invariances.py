@@ -2,8 +2,10 @@
 
 They do not depend on where, how turned and in which units a robot is, nor on what does not count.
 Each row of the table is a robot, a run and a change. `make test` has each run with each change
-once, `make nightly` all rows, and some in exported C. That lanes have the bits of a single run is
-tested in `tests/agreement`, and a closed loop with its world in `tests/simulation/test_both_sides`.
+once, `make nightly` all rows, and some in exported C. A closed loop with its world is in
+`tests/simulation/test_both_sides`. That lanes have the bits of a single run `tests/agreement` tests
+of the loops of campaigns, and of any robot's RHE with an RHC that bounds commands alone. No
+campaign runs the EKF, or other bounds, of a Model.
 """
 
 import functools
@@ -321,6 +323,31 @@ def test_estimates_and_commands_follow(row):
 @pytest.mark.parametrize("row", TABLE, ids=" ".join)
 def test_estimates_and_commands_of_any_robot_follow(row):
     assert_follows(*row)
+
+
+def plans(world):
+    """The commands that a plan has after 1, 2, … 8 iterations."""
+    robot = world["robot"]
+    quantities = dict(x=robot.states, p=robot.parameters, x_ref=robot.states, u_ref=robot.inputs)
+    given = {key: told(world, key, names) for key, names in quantities.items()}
+    mpc = controller(world, in_lane=False)
+    found = []
+    for iterations in range(1, 9):
+        mpc.restart()
+        mpc.solve(**given, iterations=iterations)
+        found.append(mpc.u_plan.T)
+    return by_name(robot.inputs, np.concatenate(found))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_each_iteration_goes_as_far_whatever_the_units_of_states_are(robot):
+    """From far away, where steps are shortened, so that what is missing between nodes counts."""
+    robot, rng = ROBOTS[robot], np.random.default_rng(7)
+    world = world_of(robot)
+    for _ in range(2):
+        far = {name: x + 4 * rng.normal() for name, x in world["x"].items()}
+        for change in ("in mm", "each in a unit of its own"):
+            assert largest_difference(plans, world | dict(x=far), TOLD[change](robot)) < 1e-6
 
 
 @pytest.mark.nightly

@@ -201,11 +201,14 @@ REFUSED = [  # a first signal that fits, and something that does not
     dict(push=9.0, pull=1.0),
     dict(direction=9.0, push=(1.0, 2.0)),
 ]
+NO_SAMPLE = [("one", 2.0), (1.0, 2.0, 3.0)]
 
 
 @pytest.mark.parametrize("refused", REFUSED)
 def test_a_refused_call_keeps_none_of_its_signals(refused):
-    """Whoever catches the error goes on as if it had not been made."""
+    """Whether they were refused or what came with them, whoever catches the error goes on as if it
+    had not been made.
+    """
     z, known = drive(np.random.default_rng(7), 8)
     for make in (
         lambda: rhec.EKF(model=cart(), dt=DT, **NOISE),
@@ -216,6 +219,9 @@ def test_a_refused_call_keeps_none_of_its_signals(refused):
             given = None if k == 4 else by_name(signals)
             with pytest.raises(ValueError, match="^known"):
                 other.step(row, known=refused)
+            for sample in NO_SAMPLE:
+                with pytest.raises(ValueError, match="^z"):
+                    other.step(sample, known=dict(push=9.0, direction=9.0))
             np.testing.assert_array_equal(
                 one.step(row, known=given).x, other.step(row, known=given).x
             )
@@ -224,6 +230,9 @@ def test_a_refused_call_keeps_none_of_its_signals(refused):
     np.testing.assert_array_equal(*(each.step((1.0, 0.0), known=first) for each in (one, other)))
     with pytest.raises(ValueError, match="^known had 'pull'"):
         other.step((1.0, 0.0), known=dict(push=9.0, pull=1.0))
+    for sample in (dict(x=(1.0,)), dict(x=(1.0, 0.0), u_ref=(0.0, 1.0, 2.0))):
+        with pytest.raises(ValueError, match="^(x|u_ref) had shape"):
+            other.step(**sample, known=dict(push=9.0))
     np.testing.assert_array_equal(one.step((1.0, 0.0)), other.step((1.0, 0.0)))
 
 

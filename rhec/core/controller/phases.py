@@ -102,14 +102,20 @@ def _build_feedback(stages, qp, condition, linearise, chosen=None):
         u_ref = inputs["u_ref"]
         commands = u[list(stages.command), :] + solution.pop("change")
         # Rounding may take u + (upper - u) past the bound, which is a hard one.
-        bounds = (inputs[name][: stages.n_c] for name in ("lower", "upper"))
-        lower, upper = (ca.repmat(bound, 1, stages.N) for bound in bounds)
-        commands = ca.fmin(ca.fmax(commands, lower), upper)
+        commands = _within_bounds(stages, commands, inputs)
         # With a reference that is not finite there is no step, and the last plan goes on.
         finite = ca.if_else(ca.fabs(u_ref) < np.inf, u_ref, u)
         return dict(u_plan=_planned(stages, commands, finite)) | solution
 
     return feedback
+
+
+def _within_bounds(stages, commands, inputs):
+    """Commands (n_c, N) that are beyond a bound, at it."""
+    # Their bounds are the first of all.
+    bounds = (inputs[name][: stages.n_c] for name in ("lower", "upper"))
+    lower, upper = (ca.repmat(bound, 1, stages.N) for bound in bounds)
+    return ca.fmin(ca.fmax(commands, lower), upper)
 
 
 def _planned(stages, commands, u_ref):
@@ -234,6 +240,9 @@ def _build_step(stages, qp, phases):
 def _build_improve(stages, qp, phases):
     """One iteration without shift: linearise, feedback, expand, and a share of their step.
 
+    Commands beyond a bound begin at it. The merit does not know their bounds, and would refuse the
+    way back to them, where it raises the cost: from a first plan of 0, or after `update`.
+
     Where the QP was not solved, what expand leaves stays, or the plan before, if the search wants
     it to be tried `again` with other prices. Else the iteration after one that moved nothing,
     either, would be the same.
@@ -244,6 +253,8 @@ def _build_improve(stages, qp, phases):
 
     @casadi_function("rhc_improve", ca.MX, **shapes, penalty=search.sparsity_in("penalty"))
     def improve(penalty, **inputs):
+        commands = _within_bounds(stages, inputs["u"][list(stages.command), :], inputs)
+        inputs |= dict(u=_planned(stages, commands, inputs["u"]))
         chosen = {name: penalty[place] for name, place in qp.chosen.items()}
         values, full = iterate(phases, inputs | chosen)
         steps = {f"{name}_full": full[name] for name in unknowns}

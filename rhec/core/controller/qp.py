@@ -18,7 +18,7 @@ from rhec.core.controller.stages import (
     weights_before_end,
 )
 from rhec.core.solver.interior_point import Shape, interior_point
-from rhec.core.solver.line_search import line_search
+from rhec.core.solver.line_search import line_search_of_plan
 from rhec.core.solver.relaxation import RELIEF, relaxation
 from rhec.core.solver.stage_qp import stage_qp
 
@@ -40,7 +40,7 @@ class ActiveSet:
     reported = ()  # results of `solve` that a step of the RHC returns besides
     # {input of `solve` that iterations alone choose, and that is 0 else: its place in `penalty`}
     chosen = {}
-    search = staticmethod(line_search)  # how far iterations go along a step
+    search = staticmethod(line_search_of_plan)  # how far iterations go along a step
 
     def __init__(self, stages):
         self._stages = stages

@@ -23,7 +23,7 @@ from rhec.core.controller.initial_plan import checked_plan, planned_memory
 from rhec.core.controller.phases import build_phases, init
 from rhec.core.controller.problem import Options, problem_of
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.known import take_known
+from rhec.core.model.known import checked_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import RealTimeIteration, RealTimeLoop, copy_checked
@@ -124,7 +124,7 @@ class RHC(RealTimeLoop):
         n_u = len(stages.model.inputs)
         self._known = self._inputs["u_ref"][n_u:]
         self._known[:] = np.nan
-        self._inputs["u_ref"] = self._inputs["u_ref"][:n_u]
+        self._inputs |= dict(u_ref=self._inputs["u_ref"][:n_u], known=self._known)
 
     def first_memory(self, x: Any, p: Any) -> dict:
         """The memory before the first sample: the robot stays at x, and nothing is planned.
@@ -141,8 +141,8 @@ class RHC(RealTimeLoop):
     def restart(self, u_plan: Any = None, x_plan: Any = None, u_before: Any = None) -> None:
         """Begin anew: the next sample is the first, and improves this plan.
 
-        Without a plan it starts from a robot that stays where it is, with no inputs. References are
-        0 until they are given again.
+        Without a plan it starts from a robot that stays where it is, with commands of 0, or the
+        nearest number within their bounds. References are 0 until they are given again.
 
         Args:
             u_plan: (n_u, N) or (n_u,) planned inputs. Commands beyond a bound begin at it, and
@@ -294,7 +294,7 @@ class RHC(RealTimeLoop):
 
     def _set_problem(self, x, p, x_ref, u_ref, y_ref, u_before, known):
         """Copy the new data in; references that are constant are repeated along the horizon."""
-        take_known(self.stages.model.known, known, self._known)
+        known = checked_known(self.stages.model.known, known, self._known)
         before = self._before if u_before is None else self._commands_before(u_before)
         given = dict(x=x, p=p, u_ref=u_ref)
         given |= {k: v for k, v in dict(x_ref=x_ref, y_ref=y_ref).items() if v is not None}
@@ -304,7 +304,7 @@ class RHC(RealTimeLoop):
             array = self._inputs[name]
             if array.ndim == 2 and np.shape(value) in ((), array.shape[:1]):
                 given[name] = np.broadcast_to(np.reshape(value, (-1, 1)), array.shape)
-        self._set_inputs(**given)
+        self._set_inputs(**given, known=known)
         if self.stages.model.heading is not None:
             self._take_up_to_turns()
         if before is not None:
@@ -361,8 +361,7 @@ class RHC(RealTimeLoop):
         memory = self.first_memory(x, p)
         memory["u"][len(self.stages.model.inputs) :] = self._known
         if self._initial:
-            # A line search would refuse the way back to the bounds, where it raises the cost.
-            # Their bounds are the first of all.
+            # The bounds of commands are the first of all.
             bounds = (self.settings[name][: self.stages.n_c] for name in ("lower", "upper"))
             planned = planned_memory(self.stages, self._initial, *bounds, x, p, self._known)
             memory |= planned

@@ -320,7 +320,7 @@ def build_cost(stages):
     """The Function of the cost of nodes s and inputs u, and of their gaps.
 
     The cost has the price of what soft rows exceed. The gaps are Σ |F(s_i, u_i) - s_{i+1}| and
-    |x̂ - s_0| of each state; without rows besides the commands, they are one sum of all states.
+    |x̂ - s_0| of each state. Its other results are those that `relaxation` names.
     """
     N = stages.N
     references = stages.references
@@ -346,8 +346,9 @@ def build_cost(stages):
         dt_s = ca.repmat(ca.DM(stages.dt_s), 1, N)
         ends = stages.interval.step.map(N)(s[:, :N], u, dt_s)
         gaps = ca.fabs(ca.horzcat(s[:, 0] - s_0, ends - s[:, 1:]))
+        found = dict(gaps=ca.sum2(gaps)) | _roots_of_weights(stages, W, W_N)
         if not stages.is_general:
-            return dict(cost=total, gaps=ca.sum1(ca.vec(gaps)))
+            return dict(cost=total) | found
         t = _beyond_bounds(stages, w, given)
         is_soft = given["linear"] < NO_PRICE
         linear = ca.if_else(is_soft, given["linear"], 0)
@@ -355,17 +356,17 @@ def build_cost(stages):
         beyond = ca.if_else(is_soft, 0, ca.sum2(t))
         rows = w[stages.bounded, :]
         way = ca.sum2(ca.fabs(rows - ca.repmat(rows[:, 0], 1, N + 1)))
-        found = dict(cost=total + price, gaps=ca.sum2(gaps), beyond=beyond, way=way)
-        return found | _roots_of_weights(stages, given)
+        return dict(cost=total + price, beyond=beyond, way=way) | found
 
     return cost
 
 
-def _roots_of_weights(stages, given):
+def _roots_of_weights(stages, W, W_N):
     """The roots of what a unit of each joint state and input costs; 0 without a weight."""
-    of_x = ca.sqrt(ca.fmax(ca.diag(given["Q"]), ca.diag(given["QN"])))
+    of_w = ca.diag(W)
+    of_x = ca.sqrt(ca.fmax(of_w, ca.diag(W_N)))[: stages.n_x]
     of_u = ca.MX(stages.n_u, 1)
-    of_u[list(stages.command)] = ca.sqrt(ca.diag(given["R"]))
+    of_u[list(stages.command)] = ca.sqrt(of_w[stages.n_x : stages.n_x + stages.n_c])
     return dict(root_s=ca.vertcat(of_x, ca.MX(stages.n_s - stages.n_x, 1)), root_u=of_u)
 
 

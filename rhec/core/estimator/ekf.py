@@ -17,7 +17,7 @@ from rhec.core.estimator.estimate import joint_estimate, joint_guess, noise_of, 
 from rhec.core.estimator.filter import Filter, Noise, where_defined
 from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.known import take_known
+from rhec.core.model.known import checked_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
 from rhec.core.solver.rti import NO_SAMPLE, copy_checked
@@ -146,8 +146,9 @@ class EKF:
         arguments = self._call.arguments
         results = self._call.results
         n_s = self.model.n_s
-        take_known(self.model.known, known, self._known)
+        known = checked_known(self.model.known, known, self._known)
         copy_checked("z", z, self._z)
+        self._known[:] = known
         self._call.call()
         self._started = True
         arguments["memory"][:] = results["memory"]

@@ -38,7 +38,7 @@ from rhec.core.estimator.guard import ITERATED, noise_as_used, noise_memory, who
 from rhec.core.estimator.innovation_gate import InnovationGate
 from rhec.core.model import robot_model
 from rhec.core.model.integration import refuse_unstable_step
-from rhec.core.model.known import take_known
+from rhec.core.model.known import checked_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
 from rhec.core.model.robot_model import Model
 from rhec.core.solver import gauss_newton
@@ -916,9 +916,9 @@ class RHE(RealTimeLoop):
         arrays = self.iteration.arrays
         n_s = self.model.n_s
         n_z = len(self.model.outputs)
-        self._inputs = dict(z=arrays["z_N"][:n_z])
         self._known = arrays["z_N"][n_z:, None]
         self._known[:] = np.nan
+        self._inputs = dict(z=arrays["z_N"][:n_z], known=self._known)
         # Views of the result, made once: reshaping takes longer than the QP of the feedback.
         self._result = (arrays["estimate"], arrays["covariance"].reshape(n_s, n_s))
 
@@ -1006,8 +1006,7 @@ class RHE(RealTimeLoop):
     def _set_sample(self, z, sigma_w, known):
         """Copy the newest sample in, with the noise and the known signals that came with it."""
         self._set_noise(sigma_w)
-        take_known(self.model.known, known, self._known)
-        self._set_inputs(z=z)
+        self._set_inputs(z=z, known=checked_known(self.model.known, known, self._known))
 
     def _set_noise(self, sigma_w):
         if self.window.noisy:

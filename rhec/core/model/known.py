@@ -7,15 +7,18 @@ import numpy as np
 from rhec.core._casadi.validation import numbers, refuse
 
 
-def take_known(names, given, held):
-    """Copy known signals into an array; what is not given, or is not finite, stays as it was.
+def checked_known(names, given, held):
+    """The known signals of a sample; what is not given, or is not finite, is as it was.
 
-    Where something is refused, all stays as it was.
+    They are held only once all else of the sample is checked: a sample that is refused leaves none.
 
     Args:
         names: Of the Model's known signals.
         given: {name: number, or (n,) numbers}; None: nothing is given.
         held: (n_d, n) array of the last ones, NaN before the first.
+
+    Returns:
+        A new array (n_d, n).
 
     Raises:
         ValueError: If a name or a shape does not fit, or if a signal never had a value.
@@ -36,4 +39,4 @@ def take_known(names, given, held):
     for name, row in zip(names, taken):
         if np.isnan(row).any():
             raise ValueError(f"known had no {name!r}; the first sample needs a number for it")
-    held[:] = taken
+    return taken

@@ -24,7 +24,7 @@ from rhec.core._casadi.validation import refuse, shown
 from rhec.core.model.expressions import expression_of
 from rhec.core.model.integration import RULES, Rule, integrate
 from rhec.core.model.integration import rk4 as rk4
-from rhec.core.model.known import take_known
+from rhec.core.model.known import checked_known
 from rhec.core.model.limits import (
     MAX_MEASUREMENT,
     MAX_PLAUSIBLE_STATE,
@@ -253,8 +253,7 @@ class Model:
         u = np.atleast_2d(np.asarray(u, float))
         if u.shape[1:] != (len(self.inputs),):
             raise ValueError(f"u had shape {u.shape}; it should have (n, {len(self.inputs)})")
-        d = np.full((len(self.known), len(u)), np.nan)
-        take_known(self.known, known, d)
+        d = checked_known(self.known, known, np.full((len(self.known), len(u)), np.nan))
         u = np.hstack([u, d.T])
         step = interval(self, measured=False).step
         s = np.concatenate([given["x"], given["p"]])

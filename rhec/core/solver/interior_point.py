@@ -39,13 +39,15 @@ from rhec.core.solver.gauss_newton import symmetric
 _DOUBLINGS = 5
 MAX_ITERATIONS = 2**_DOUBLINGS  # then the search gives up; 8 to 15 are usual
 _CONVERGED = 1e-12  # mean of λ s and γ t, and error of the rows, at the end, relative to the start
+_LEAST_TARGET = 0.1 * _CONVERGED  # of λ s, so far below the end that the search reaches it
 _OPTIMAL = 1e-20  # the same of what is left to gain, which is of second order
 _TOLERANCE = 1e-7  # mean of λ s and γ t, and error of the rows, of a solution
 _TOLERANCE_GAIN = 1e-14
 _TO_BOUNDARY = 0.995  # share of the way to the nearest boundary that a step may go
 _NEAREST = 0.1  # smallest first distance to a bound, as a share of the row's largest
 _PROXIMAL = 1e-5  # δ relative to the compliance of a row
-_LEAST_GAIN = 1e-6
+_OF_FIRST = 1e-3  # share of the first w = λ / s that δ has to be small beside, too
+_LEAST_GAIN = 1e-6  # share of what each entry of g would gain alone that rounding may hide
 _LEAST_SCALE = 1e-3  # smallest scale of a row, as a share of the way that the free QP moves it
 _OWN_PRICE = 1e3  # over the least slope that moves a row as the free QP does
 _KEPT = 1e-6  # excess of a row without a price, relative to its scale, up to which it is kept
@@ -286,7 +288,7 @@ def _build_start(shape):
         push = ca.sum1(highest * ca.sqrt(compliance[shape.n_hard :]))
         highest = ca.vertcat(push * ca.sqrt(stiffness[: shape.n_hard]), highest)
         steepness = highest / (widest + free_way)
-        delta = _PROXIMAL / (stiffness + 1e-3 * first / widest**2 + steepness)
+        delta = _PROXIMAL / (stiffness + _OF_FIRST * first / widest**2 + steepness)
         nearest = ca.repmat(_NEAREST * widest, 1, shape.N + 1)
         near = nearest[shape.n_hard :, :]
         # If a price is high, λ s = γ t needs a small t, but not where the bound is exceeded.
@@ -414,7 +416,7 @@ def _build_vector(shape):
 
 
 def _hidden(stages):
-    """What rounding hides of the gain: a millionth of ½ Σ g² / H_ii."""
+    """What rounding hides of the gain: _LEAST_GAIN of ½ Σ g² / H_ii."""
     g = ca.vertcat(*(stage["g"] for stage in stages))
     weight = ca.vertcat(*(ca.diag(stage["H"]) for stage in stages))
     by_itself = ca.if_else(weight > 0, g**2 / ca.fmax(weight, _TINY), 0)
@@ -623,7 +625,7 @@ def _build_iteration(shape, problem, state):
         left = (total + alpha * first + alpha**2 * second) / ca.fmax(total, _TINY)
         share = ca.fmin(ca.fmax(left, 0), 1)
         # Much below what counts as converged, the recursion would lose digits and gain nothing.
-        target = ca.fmax(share**3 * total / n_sides, 0.1 * _CONVERGED * scale)
+        target = ca.fmax(share**3 * total / n_sides, _LEAST_TARGET * scale)
         # Where the predictor may go a share of its way alone, all of its second order is too much.
         crossed = (alpha * step[one] * step[other] for one, other in (("s", "lam"), ("t", "gam")))
         aims = [

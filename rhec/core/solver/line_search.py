@@ -13,7 +13,8 @@ near a solution (Maratos effect), and no more than a few of them can fail to con
 
 import casadi as ca
 
-from rhec.core._casadi.build import casadi_function, in_turn
+from rhec.core._casadi.build import casadi_function, in_turn, select_inputs
+from rhec.core.solver.extents import inverse_extent, typical_root, weight_of_gaps
 
 PENALTY = (2, 1)  # μ and the least |D| so far; zeros before the first step
 HALVINGS = 10  # of the step, at most; a solution or a bad linearisation needs more, and stays
@@ -72,6 +73,39 @@ def line_search(name, unknowns, data, cost_and_gaps):
         flags = dict(near=change <= NEAR, converged=change <= CONVERGED, done=small)
         carried = dict(penalty_after=ca.vertcat(penalty, least))
         return result | flags | dict(is_full=length == 1) | carried
+
+    return search
+
+
+def line_search_of_plan(name, unknowns, data, cost):
+    """A `line_search` whose ‖c‖₁ is that of gaps in units that do not count (`weight_of_gaps`).
+
+    Args:
+        name: Of the Function.
+        unknowns: {name: shape} of the unknowns, with the states s.
+        data: {name: shape} of what the cost depends on besides.
+        cost: Function (unknowns, data) -> cost, gaps of each state, root_s of their weights.
+
+    Returns:
+        The Function, as `line_search`.
+    """
+    full = {f"{unknown}_full": shape for unknown, shape in unknowns.items()}
+    per_gap = dict(per_gap=cost.sparsity_out("gaps"))
+
+    @casadi_function("rhc_merit", ca.MX, **unknowns, **data, **per_gap)
+    def merit(per_gap, **values):
+        found = cost(**values)
+        return dict(cost=found["cost"], gaps=ca.dot(per_gap, found["gaps"]))
+
+    shortened = line_search("rhc_shortened", unknowns, data | per_gap, merit)
+
+    @casadi_function(name, ca.MX, **unknowns, **full, penalty=PENALTY, **data)
+    def search(**values):
+        here = cost(**select_inputs(cost, values))
+        root = here["root_s"]
+        typical = typical_root(here["cost"], values["s"])
+        per_extent = inverse_extent("s", values["s"], values["s_full"], root, typical)
+        return shortened(**values, per_gap=weight_of_gaps(root, per_extent, typical))
 
     return search
 

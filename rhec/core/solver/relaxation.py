@@ -8,10 +8,7 @@ far the plan goes in it, so that units do not count.
 
 Behind it stands the merit of a line search, with the price of what hard rows exceed,
 
-    φ(w) = J(w) + price · t(w) + μ Σ per_gap |c(w)|,
-
-where the gaps of a state count as its weight makes them, √Q or √Q_N. Those of one without a weight
-count as if the way that the plan goes in it cost what a node does on average.
+    φ(w) = J(w) + price · t(w) + μ Σ per_gap |c(w)|.
 
 A share that would raise it is halved until it does not. The QP's own price of hard rows is far
 above usual multipliers. On an unstable plant it buys a plan that keeps the bounds of the linearised
@@ -22,11 +19,10 @@ a bound count as one that cannot be kept. Without an excess each price is above 
 the solution is that of hard rows.
 """
 
-import functools
-
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.solver.extents import inverse_extent, largest, typical_root, weight_of_gaps
 from rhec.core.solver.interior_point import NO_PRICE
 from rhec.core.solver.line_search import (
     CONVERGED,
@@ -47,8 +43,6 @@ _OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
 _NO_STEP = 1e-9  # relative to each extent of the plan: a step at which an iteration ends
-_LEAST_EXTENT = 1e-9  # of a state that moves, relative to itself; less may be rounding
-_LEAST_ROOT = 1e-6  # root of the least cost of an extent, relative to that of a node
 _TINY = 1e-300
 
 
@@ -171,40 +165,16 @@ def _scales(here, old, values):
         the states hides: of the gaps, and of a row's way as a share of it.
     """
     s = old["s"]
-    typical = ca.sqrt(2 * here["cost"] / s.size2())
+    typical = typical_root(here["cost"], s)
     per_extent = {
-        key: _inverse(_extent(key, plan, values[f"{key}_full"], here[f"root_{key}"], typical))
+        key: inverse_extent(key, plan, values[f"{key}_full"], here[f"root_{key}"], typical)
         for key, plan in old.items()
     }
     per_step = ca.veccat(*(ca.repmat(per_extent[key], 1, old[key].size2()) for key in old))
-    root = here["root_s"]
-    per_gap = ca.if_else(root > 0, root, typical * per_extent["s"])
+    per_gap = weight_of_gaps(here["root_s"], per_extent["s"], typical)
     of_gaps = _OF_STATES * ca.dot(per_gap, ca.sum2(ca.fabs(s)))
-    of_way = _OF_STATES * ca.mmax(per_extent["s"] * _largest(s))
+    of_way = _OF_STATES * ca.mmax(per_extent["s"] * largest(s))
     return per_step, per_gap, (of_gaps, of_way)
-
-
-def _extent(key, old, full, root, typical):
-    """How far each state goes from where the plan begins, or each input from 0; 0 if it does not.
-
-    It is no less than rounding explains, nor than what counts in the cost: `root` is the root of
-    what a unit costs, and `typical` that of what a node does.
-    """
-    begin = ca.repmat(full[:, 0], 1, full.size2()) if key == "s" else 0
-    way = ca.fmax(_largest(old - begin), _largest(full - begin))
-    least = ca.if_else(root > 0, _LEAST_ROOT * typical / ca.fmax(root, _TINY), 0)
-    least = ca.fmax(least, _LEAST_EXTENT * _largest(old))
-    return ca.if_else(way > 0, ca.fmax(way, least), 0)
-
-
-def _largest(numbers):
-    """The largest of each row, without its sign."""
-    return functools.reduce(ca.fmax, ca.horzsplit(ca.fabs(numbers)))
-
-
-def _inverse(extent):
-    """1 / extent, or 0 where there is none."""
-    return ca.if_else(extent > 0, 1 / ca.fmax(extent, _TINY), 0)
 
 
 def _next_share(share, last, step):
