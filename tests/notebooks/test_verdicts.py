@@ -37,12 +37,16 @@ def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
 
 
 def test_false_trust_and_false_alarms_are_counted_by_loop():
-    is_wrong = [True, True, True, False, False, False, False]
-    is_trusted = [True, False, False, False, False, True, True]
-    rows = pd.DataFrame(dict(loop="open", seed=range(7), is_wrong=is_wrong, is_trusted=is_trusted))
+    trust, doubt, unsure = "Trust it.", "Do not trust it: the yaw.", "Cannot tell yet: too short."
+    told = {True: [trust, doubt, unsure], False: [doubt, doubt, unsure, trust, trust]}
+    rows = pd.DataFrame(
+        [dict(is_wrong=wrong, verdict=each) for wrong in told for each in told[wrong]]
+    )
+    rows = rows.assign(loop="open", seed=range(8), is_trusted=rows["verdict"] == trust)
     found = verdicts.rates(rows).set_index("rate")
     assert found.loc["false trust", ["k", "n"]].tolist() == [1, 3]
-    assert found.loc["false alarm", ["k", "n"]].tolist() == [2, 4]
+    assert found.loc["false alarm", ["k", "n"]].tolist() == [2, 5]
+    assert found.loc["untold", ["k", "n"]].tolist() == [1, 5]
     assert (found["low"] < found["k"] / found["n"]).all()
 
 
