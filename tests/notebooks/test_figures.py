@@ -183,7 +183,11 @@ def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
 
 def test_the_distance_beside_the_path_is_the_error_with_its_side(drawn, runs):
     """A robot to the left of the path is beside it by a positive distance, as at the start."""
-    _, *panels, _ = drawn["trajectories"].axes
+    plane, *panels, _ = drawn["trajectories"].axes
+    reference, *_ = plane.lines
+    path = next(iter(runs.values()))["RHE"].path
+    ends = path.poses(np.array([0.0, path.length_m]))[0][:, :2]
+    np.testing.assert_allclose(reference.get_xydata()[[0, -1]], ends, atol=0.1)
     for axes, pair in zip(panels, runs.values()):
         for line, name in zip(axes.lines, ("EKF", "RHE")):
             lateral_m = line.get_ydata()
