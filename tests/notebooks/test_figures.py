@@ -8,10 +8,13 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import recorded_log
 from matplotlib.figure import Figure
 from text_boxes import text_defects
 
 import rhec
+from notebooks.further import recorded_logs_plots
+from notebooks.further.recorded import scores
 from notebooks.plots import scenarios
 from notebooks.plots.scenarios import stated
 from notebooks.plots.timing import phases
@@ -214,6 +217,22 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
     assert f"measured {settled.std():.3f}" in words(drawn["speed"])
     assert len(beside.patches) == 3
+
+
+def test_replays_of_a_log_are_drawn_as_they_were():
+    log = recorded_log(noise_m=0.02, seed=1)
+    given = dict(process_noise="prediction", sigma_v=paper.SIGMA_V)
+    replays = {name: scores.perturbed_replay(log, seed, **given) for seed, name in enumerate("ab")}
+    yaw = recorded_logs_plots.replay_yaw(replays)
+    traction = recorded_logs_plots.replay_traction(replays, "a")
+    for axes, samples in zip(yaw.axes, replays.values()):
+        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], scores.yaw_error(samples))
+    for axes, name in zip(traction.axes, ("mu_hat", "kappa_hat")):
+        for line, samples in zip(axes.lines, replays.values()):
+            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[name])
+    for figure in (yaw, traction):
+        assert figure.axes[-1].get_xlim() == (samples["t_s"].min(), samples["t_s"].max())
+        assert text_defects(figure) == []
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):
