@@ -4,7 +4,10 @@ import base64
 import ctypes
 import gzip
 import itertools
+import re
 import subprocess
+from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -174,6 +177,18 @@ def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys
     page._main()
     assert not [*tmp_path.iterdir()]
     assert capsys.readouterr().out == "live page: left out, since ziglang is not installed\n"
+
+
+def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
+    def command_as_module(command, _):
+        Path(command[command.index("-o") + 1]).write_text("\n".join(command))
+
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiled, "run_compiler", command_as_module)
+    monkeypatch.setattr(wasm, "find_spec", lambda name: SimpleNamespace(origin=name))
+    text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
+    exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
+    assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
 
 
 @pytest.fixture(scope="module")
