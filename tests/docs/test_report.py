@@ -9,10 +9,12 @@ from base64 import b64encode
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from bs4 import BeautifulSoup
 from matplotlib.figure import Figure
 from nbformat import v4
+from PIL import Image
 from sphinx.application import Sphinx
 
 import rhec
@@ -121,3 +123,15 @@ def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsew
     assert len(scripts) == 2 and scripts[1] == injected
     assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digests[0]}'"]
     assert not re.search("http|unsafe-eval|[*]", policy)
+
+
+def test_a_picture_of_a_page_keeps_its_colours_over_white(tmp_path):
+    colours = np.zeros((16, 16, 4), np.uint8)
+    colours[:8] = 0, 114, 178, 255  # below that it is transparent
+    Image.fromarray(colours).save(tmp_path / "one.png")
+    report._shrink(tmp_path / "one.png")
+    (file,) = tmp_path.iterdir()
+    with Image.open(file) as picture:
+        assert picture.format == "WEBP"
+        shown = np.array(picture.convert("RGB"))
+    assert (shown[:8] == [0, 114, 178]).all() and (shown[8:] == 255).all()
