@@ -18,7 +18,7 @@ from notebooks.studies import answer
 from notebooks.studies.tables import interval_texts
 from rhec import paper
 
-__all__ = ["tables", "write"]
+__all__ = ["main", "tables", "write"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _SOURCE = "docs/article/article.typ"
@@ -144,8 +144,13 @@ def write(root=ROOT):
     return output
 
 
-if __name__ == "__main__":
+def main(root=ROOT):
+    """Write the article and say where it is, or end with what is missing."""
     try:
-        print(f"article: {write().relative_to(ROOT)}")
+        print(f"article: {write(root).relative_to(root)}")
     except FileNotFoundError as error:
         sys.exit(f"article: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -19,7 +19,7 @@ from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 from notebooks.studies.tables import to_markdown
 
-__all__ = ["BLOCKS", "PAGES", "rewrite"]
+__all__ = ["BLOCKS", "PAGES", "rewrite", "write"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
@@ -91,7 +91,12 @@ def _wrapped(text):
     )
 
 
-if __name__ == "__main__":
+def write(root=ROOT):
+    """Write the results into the pages below a folder."""
     for name in PAGES:
-        page = ROOT / name
+        page = root / name
         page.write_text(rewrite(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write()

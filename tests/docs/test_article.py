@@ -43,8 +43,8 @@ def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_p
     project = tmp_path
     shutil.copytree(article.ROOT / "docs/article", project / "docs/article")
     (project / "figures").mkdir()
-    with pytest.raises(FileNotFoundError, match="figures/fig01_robot_in_row.pdf is missing"):
-        article.write(project)
+    with pytest.raises(SystemExit, match=r"^article: figures/fig01_robot_in_row\.pdf is missing: "):
+        article.main(project)
     for name in re.findall(r'#picture\("(\w+)"', SOURCE):
         Figure(figsize=(2, 1)).savefig(project / f"figures/{name}.pdf")
     first = article.write(project).read_bytes()

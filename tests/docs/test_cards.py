@@ -15,6 +15,7 @@ from notebooks.studies.tables import interval_text, with_minus
 ROOT = Path(__file__).parents[2]
 CLAIMS_CSV = pd.read_csv(ROOT / "data/results/claims.csv")
 ROWS = CLAIMS_CSV.astype(object).where(CLAIMS_CSV.notna(), "").to_dict("records")
+ROUND = {"1.000", "2.000", "5.000"}
 DRAWN = [row for row in ROWS if row["value"] != ""]
 
 
@@ -98,6 +99,9 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
                 assert number <= other or at >= elsewhere - 0.1, row["id"]
         assert all(0 <= at <= 360 for _, at in pairs), row["id"]
         assert len(drawn["ticks"]) > 1, row["id"]
+        numbers = [number_of(text) for _, text in drawn["ticks"]]
+        are_even = np.allclose(np.diff(numbers), numbers[1] - numbers[0])
+        assert are_even or {f"{number:e}"[:5] for number in numbers} <= ROUND, row["id"]
         ticks = sorted(drawn["ticks"])
         for (at, text), (next_at, next_text) in zip(ticks, ticks[1:]):
             # Both are centred, of characters that are about 6 wide.

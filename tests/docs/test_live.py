@@ -1,8 +1,13 @@
 """The live page without a browser: what it is built from equals what `rhec.simulate` uses."""
 
 import base64
+import ctypes
 import gzip
 import itertools
+import re
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -11,9 +16,11 @@ import pytest
 import rhec
 from docs.live import functions, page, wasm, window
 from rhec import paper
+from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, MEASUREMENTS
 from rhec.tracked_robot import plant
+from rhec.tracked_robot.terrain import common_shape
 
 START = dict(start_offset_m=-0.8, start_yaw_rad=0.5, guess_yaw_rad=0.1, speed_mps=0.6)
 GAP = (rhec.Fault(kind="missing", start_s=30.0, duration_s=4.0),)
@@ -27,7 +34,8 @@ def unpack(text, kind):
 def test_noise_of_a_seed_is_rounded_to_a_step():
     expected = plant.draw_noise(3, functions.MAX_SAMPLES)
     noise = unpack(page.seed_data(3)["noise"], np.int16).reshape(expected.shape)
-    np.testing.assert_allclose(page.NOISE_STEP * noise, expected, atol=page.NOISE_STEP / 2)
+    # 16 bits hold eight standard deviations either way.
+    np.testing.assert_allclose(page.NOISE_STEP * noise, expected, atol=8 / 2**15 / 2)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +93,35 @@ def test_errors_are_those_of_the_run(turns, own):
     assert np.sign(found["left_m"][0]) == np.sign(run.scenario.start_offset_m)
 
 
+def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
+    scenario = rhec.Scenario(duration_s=20.0)
+    setup = closed_loop.set_up(scenario)
+    run = rhec.simulate(scenario)
+    n = len(run.log)
+    shape = common_shape(setup.terrain)
+    built = functions.build_functions(scenario, len(setup.path.segments), shape)
+    (tmp_path / "code.c").write_text(functions.c_text(built), encoding="utf-8")
+    options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
+    subprocess.run([compiled.compiler(), *options], cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "code.so"))
+
+    def array(name, length):
+        return np.ctypeslib.as_array((ctypes.c_double * length).in_dll(library, f"at_{name}"))
+
+    noise = plant.draw_noise(scenario.seed, n)
+    given = setup.settings | dict(length_m=setup.path.length_m, noise=noise.T)
+    given |= dict(memory=setup.memory)
+    for name in {name for function in built.values() for name in function.name_in()} - {"row"}:
+        value = np.ravel(given[name], order="F")
+        array(name, len(value))[:] = value
+    assert library.run(n) == 0
+    rows = array("row", len(COLUMNS) * n).reshape(n, -1)
+    expected = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
+    np.testing.assert_allclose(rows, expected, atol=1e-9)
+    errors = dict(zip(functions.ERRORS, array("errors", 4 * n).reshape(n, 4).T))
+    np.testing.assert_allclose(errors["error_true_m"], run.columns["error_true_m"], atol=1e-9)
+
+
 @pytest.mark.parametrize("turns", page.TURNS.values())
 def test_the_closest_point_of_the_whole_path_is_that_of_the_path(turns):
     """Anywhere on the field, and to the left of a row and of both kinds of turns."""
@@ -140,6 +177,18 @@ def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys
     page._main()
     assert not [*tmp_path.iterdir()]
     assert capsys.readouterr().out == "live page: left out, since ziglang is not installed\n"
+
+
+def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
+    def command_as_module(command, _):
+        Path(command[command.index("-o") + 1]).write_text("\n".join(command))
+
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(compiled, "run_compiler", command_as_module)
+    monkeypatch.setattr(wasm, "find_spec", lambda name: SimpleNamespace(origin=name))
+    text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
+    exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
+    assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,12 @@ from base64 import b64encode
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from bs4 import BeautifulSoup
 from matplotlib.figure import Figure
 from nbformat import v4
+from PIL import Image
 from sphinx.application import Sphinx
 
 import rhec
@@ -21,17 +23,20 @@ from docs.site.content_policy import with_policy
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
+DRAWN = ("fig99_line", "fig05_dot", "square")
 
 
 @pytest.fixture
 def executed(tmp_path):
     """A notebook that saved a figure, as the runner leaves it."""
     saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "table_one", "One")'
+    more = v4.new_code_cell('style.save(figure, "fig05_dot")\nstyle.save(figure, "square")')
     widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
     cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
-    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell(words), cell]), file)
+    cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
+    nbformat.write(v4.new_notebook(cells=cells), file)
     return file
 
 
@@ -39,7 +44,8 @@ def executed(tmp_path):
 def figures(tmp_path):
     """A folder with what that notebook saved, and with a person's own files."""
     folder = tmp_path / "figures"
-    style.save(Figure(), "fig99_line", folder=folder)
+    for name in DRAWN:
+        style.save(Figure(), name, folder=folder)
     for name in ("table_one.csv", "mine.csv", "private.txt", "broken.png"):
         (folder / name).write_bytes("ä".encode("latin-1"))
     return folder
@@ -51,9 +57,12 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     published = {file.name for file in (source / "figures").iterdir()}
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}
-    assert published - of_pages == {"fig99_line.png", "fig99_line.pdf", "table_one.csv"}
+    drawn = {f"{name}.{kind}" for name in DRAWN for kind in ("png", "pdf")}
+    assert published - of_pages == {*drawn, "table_one.csv"}
     page = (source / "figures.md").read_text()
     assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    # A picture of the paper that has another caption is numbered by its name, others are not.
+    assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
     cell = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
@@ -114,3 +123,15 @@ def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsew
     assert len(scripts) == 2 and scripts[1] == injected
     assert directives["script-src"].split() == ["'self'", "file:", f"'sha256-{digests[0]}'"]
     assert not re.search("http|unsafe-eval|[*]", policy)
+
+
+def test_a_picture_of_a_page_keeps_its_colours_over_white(tmp_path):
+    colours = np.zeros((16, 16, 4), np.uint8)
+    colours[:8] = 0, 114, 178, 255  # below that it is transparent
+    Image.fromarray(colours).save(tmp_path / "one.png")
+    report._shrink(tmp_path / "one.png")
+    (file,) = tmp_path.iterdir()
+    with Image.open(file) as picture:
+        assert picture.format == "WEBP"
+        shown = np.array(picture.convert("RGB"))
+    assert (shown[:8] == [0, 114, 178]).all() and (shown[8:] == 255).all()

@@ -191,6 +191,26 @@ def test_overwritten_memory_restarts_and_is_reported(exported, robot, measured):
     assert np.hypot(estimate[0] - x, estimate[1] - y) < 0.2
 
 
+@needs_compiler
+def test_a_lost_estimate_starts_again_at_the_position_with_the_yaw_it_had(exported, measured):
+    """From there on it is that of a robot that has just begun with this pose and speed.
+
+    The EKF takes a position as it is, and is lost where it has to go too far.
+    """
+    robot = InC(exported("EKF"))
+    for z in measured[:50]:
+        last, _, status = robot.step(z)
+        assert status == 0
+    far = measured[50] + [5e7, -3e7, 0, 0]
+    estimate, _, status = robot.step(far)
+    assert status & toolchain.STATUS["estimator_restarted"]
+    np.testing.assert_array_equal(estimate, [far[0], far[1], last[2], far[2], 1, 1])
+    begun = InC(exported("EKF"), guess=estimate)
+    for z in measured[51:80]:
+        after = robot.call("estimate", z, length=6)[0]
+        np.testing.assert_array_equal(after, begun.call("estimate", z, length=6)[0])
+
+
 def test_positions_that_jump_are_not_used_until_one_has_to_be(robot, measured):
     """Positions that jump by more than anything drives are not used, until one has to be because
     so many were not. When they no longer jump, the estimate returns to them.

@@ -48,6 +48,8 @@ def assert_replay_compares(program, example, folder):
             assert float(difference) == pytest.approx(largest, rel=0.1, nan_ok=True)
     ended = subprocess.run([program, "nowhere.csv"], capture_output=True, text=True)
     assert ended.returncode == 2 and "nowhere.csv, which cannot be read" in ended.stderr
+    ended = subprocess.run([program], capture_output=True, text=True)
+    assert ended.returncode == 2 and ended.stderr == f"usage: {program} log.csv\n"
 
 
 def late_log():

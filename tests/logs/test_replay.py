@@ -334,6 +334,14 @@ def test_segments_are_independent():
         )
 
 
+@pytest.mark.parametrize("gap_s, segments", [(590.0, 1), (610.0, 2), (-0.9, 1), (-1.5, 2)])
+def test_a_gap_of_ten_minutes_or_a_clock_that_is_set_back_begins_a_segment(gap_s, segments):
+    """Set back by more than a second."""
+    later = LOG.assign(t_s=LOG["t_s"] + LOG["t_s"].iloc[-1] + gap_s)
+    both = pd.concat([LOG, later], ignore_index=True)
+    assert len(recording.prepare(both).samples()) == segments
+
+
 # Faults
 
 

@@ -159,8 +159,8 @@ def test_the_shipped_table_has_a_row_for_each_estimator_and_rule_and_says_how_it
         assert all(row[column] for column in calibration.COLUMNS), row
 
 
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("estimator, rule", [("ekf", "prediction"), *CASES])
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("estimator, rule", [("ekf", "prediction"), ("ekf", "soft_soil"), *CASES])
 def test_the_shipped_objective_is_that_of_the_shipped_noise(estimator, rule):
     (row,) = (
         row

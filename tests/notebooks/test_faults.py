@@ -1,4 +1,6 @@
-"""How a run with a fault is judged."""
+"""The cases of faults, and how a run with a fault is judged."""
+
+import re
 
 import numpy as np
 import pytest
@@ -34,3 +36,14 @@ def test_a_fault_lasts_as_its_case_says():
     )
     assert faults.interval_s(course(), dict(fault=None), 20.0) == (20.0, 20.0)
     assert faults.interval_s(course(), dict(guess_yaw_rad=1.0), 20.0) == (0.0, 0.0)
+
+
+def test_a_wrong_start_is_as_wrong_as_its_name_says():
+    ways = {"yaw (.*)° wrong": ("guess_yaw_rad", np.pi / 180), "(.*) m off": ("start_offset_m", 1)}
+    said = 0
+    for name, case in faults.CASES["start"].items():
+        for pattern, (field, unit) in ways.items():
+            if number := re.fullmatch(pattern, name):
+                assert case == {field: pytest.approx(float(number[1]) * unit)}
+                said += 1
+    assert said == len(faults.CASES["start"]) - 1  # the reversed path has no number

@@ -8,10 +8,13 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import recorded_log
 from matplotlib.figure import Figure
 from text_boxes import text_defects
 
 import rhec
+from notebooks.further import recorded_logs_plots
+from notebooks.further.recorded import scores
 from notebooks.plots import scenarios
 from notebooks.plots.scenarios import stated
 from notebooks.plots.timing import phases
@@ -183,7 +186,11 @@ def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
 
 def test_the_distance_beside_the_path_is_the_error_with_its_side(drawn, runs):
     """A robot to the left of the path is beside it by a positive distance, as at the start."""
-    _, *panels, _ = drawn["trajectories"].axes
+    plane, *panels, _ = drawn["trajectories"].axes
+    reference, *_ = plane.lines
+    path = next(iter(runs.values()))["RHE"].path
+    ends = path.poses(np.array([0.0, path.length_m]))[0][:, :2]
+    np.testing.assert_allclose(reference.get_xydata()[[0, -1]], ends, atol=0.1)
     for axes, pair in zip(panels, runs.values()):
         for line, name in zip(axes.lines, ("EKF", "RHE")):
             lateral_m = line.get_ydata()
@@ -210,6 +217,22 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
     assert f"measured {settled.std():.3f}" in words(drawn["speed"])
     assert len(beside.patches) == 3
+
+
+def test_replays_of_a_log_are_drawn_as_they_were():
+    log = recorded_log(noise_m=0.02, seed=1)
+    given = dict(process_noise="prediction", sigma_v=paper.SIGMA_V)
+    replays = {name: scores.perturbed_replay(log, seed, **given) for seed, name in enumerate("ab")}
+    yaw = recorded_logs_plots.replay_yaw(replays)
+    traction = recorded_logs_plots.replay_traction(replays, "a")
+    for axes, samples in zip(yaw.axes, replays.values()):
+        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], scores.yaw_error(samples))
+    for axes, name in zip(traction.axes, ("mu_hat", "kappa_hat")):
+        for line, samples in zip(axes.lines, replays.values()):
+            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[name])
+    for figure in (yaw, traction):
+        assert figure.axes[-1].get_xlim() == (samples["t_s"].min(), samples["t_s"].max())
+        assert text_defects(figure) == []
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):

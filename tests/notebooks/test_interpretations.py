@@ -2,20 +2,26 @@
 what it says.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import choice_of
+from text_boxes import text_defects
 
 import rhec
+from notebooks.plots import interpretations as plots
 from notebooks.studies import interpretations
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
+from rhec.style import BLUE, GREY, VERMILLION
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("sigma_x_m", [0.02, 10.0])
@@ -114,3 +120,19 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
         (*tuning.NOISES["rhe"]["printed"].sigma_w[:5], value) for value in (0.25, 0.01)
     ]
     assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)
+
+
+def test_each_reading_has_a_line_of_its_own_name_and_colour():
+    """Vermillion where the interval of the change is above 0, blue where it is below."""
+    table = pd.read_csv(ROOT / "data/results/audit_interpretations.csv")
+    figure = plots.forest(table, "printed")
+    panels = figure.axes[: len(plots.QUANTITIES)]
+    labels = [label.get_text() for label in panels[0].get_yticklabels()]
+    for axes, quantity in zip(panels, plots.QUANTITIES.values()):
+        rows = table[(table["quantity"] == quantity) & (table["interpretation"] != "baseline")]
+        assert labels == [f"{row.words}  {row.interpretation}" for row in rows.itertuples()]
+        colours = {line.get_ydata()[0]: line.get_color() for line in axes.lines[:-1]}
+        for place, row in enumerate(rows.itertuples()):
+            sign = (row.change_low > 0) - (row.change_high < 0)
+            assert colours[place] == {1: VERMILLION, 0: GREY, -1: BLUE}[sign]
+    assert text_defects(figure) == []

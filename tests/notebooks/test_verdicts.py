@@ -36,17 +36,17 @@ def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
     assert off.abs().max() < 1e-2 < (late["x_m"] - late["x_true_m"]).abs().max()
 
 
-def test_false_trust_and_false_alarms_are_counted_by_loop():
-    trust, doubt, unsure = "Trust it.", "Do not trust it: the yaw.", "Cannot tell yet: too short."
-    told = {True: [trust, doubt, unsure], False: [doubt, doubt, unsure, trust, trust]}
-    rows = pd.DataFrame(
-        [dict(is_wrong=wrong, verdict=each) for wrong in told for each in told[wrong]]
-    )
-    rows = rows.assign(loop="open", seed=range(8), is_trusted=rows["verdict"] == trust)
+def test_false_trust_false_alarms_and_what_is_not_told_are_counted_by_loop():
+    is_wrong = [True, True, True, False, False, False, False]
+    is_trusted = [True, False, False, False, False, True, True]
+    untold = "Cannot tell: no lap"
+    verdict = ["Trust", untold, "Do not trust", "Do not trust", untold, "Trust", "Trust"]
+    columns = dict(seed=range(7), is_wrong=is_wrong, is_trusted=is_trusted, verdict=verdict)
+    rows = pd.DataFrame(dict(columns, loop="open"))
     found = verdicts.rates(rows).set_index("rate")
     assert found.loc["false trust", ["k", "n"]].tolist() == [1, 3]
-    assert found.loc["false alarm", ["k", "n"]].tolist() == [2, 5]
-    assert found.loc["untold", ["k", "n"]].tolist() == [1, 5]
+    assert found.loc["false alarm", ["k", "n"]].tolist() == [1, 4]
+    assert found.loc["untold", ["k", "n"]].tolist() == [1, 4]
     assert (found["low"] < found["k"] / found["n"]).all()
 
 

@@ -86,10 +86,16 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     assert abs(there["u"]).max() <= 1 and there["run"].metrics["solver_ok"]
 
 
-def test_the_results_in_readme_and_docs_are_those_of_the_tables():
+def test_the_results_in_readme_and_docs_are_those_of_the_tables(tmp_path):
     texts = [(ROOT / page).read_text(encoding="utf-8") for page in results.PAGES]
+    (tmp_path / "docs").mkdir()
     for page, text in zip(results.PAGES, texts):
-        assert results.rewrite(text) == text, f"{page}: python -m docs.site.results writes it"
+        old = re.sub(r"(<!-- results \w+ -->\n).*?(?=<!-- end -->)", r"\1old\n", text, flags=re.S)
+        (tmp_path / page).write_text(old, encoding="utf-8")
+    results.write(tmp_path)
+    for page, text in zip(results.PAGES, texts):
+        written = (tmp_path / page).read_text(encoding="utf-8")
+        assert written == text, f"{page}: python -m docs.site.results writes it"
     used = [name for text in texts for name in re.findall(r"<!-- results (\w+) -->", text)]
     assert sorted(used) == sorted(results.BLOCKS)
 
