@@ -204,7 +204,7 @@ def fault_table(table, aim_s=_AIM_S):
     for (family, case, estimator), runs in by_case:
         row = dict(family=FAMILIES[family], case=case, estimator=estimator, n=len(runs))
         for name in ("max_during_m", "max_after_m", "recovery_s"):
-            over = over_seeds(np.mean, runs[name])
+            over = over_seeds(np.mean, runs[name], least=0.0)
             row |= {name: over.mean, f"{name}_low": over.low, f"{name}_high": over.high}
             row[f"{name}_largest"] = runs[name].max()
         aim = aim_s.get(family, aim_s[""])

@@ -276,15 +276,13 @@ def scenario_b_numbers(table):
         first = found["printed"]
         row = {f"mean of {first['n']} drives [95 % interval]": label}
         row["the paper"] = _NONE if pd.isna(first["paper"]) else f"{first['paper']:g}"
-        # Errors and counts are not negative, only their differences are.
-        least = -float("inf") if whose == _GAIN else 0.0
-        row |= {noise_text(rule): _with_interval(ours, least) for rule, ours in found.items()}
+        row |= {noise_text(rule): _with_interval(ours) for rule, ours in found.items()}
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _with_interval(row, least=0.0):
-    return interval_text(row["mean"], max(row["low"], least), row["high"])
+def _with_interval(row):
+    return interval_text(row["mean"], row["low"], row["high"])
 
 
 def by_turns(table):

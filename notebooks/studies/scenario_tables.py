@@ -187,9 +187,12 @@ def _pooled(drives, column, pooled):
 
 
 def _mean_and_range(values):
-    """Mean, interval and the middle 90 % of a metric over drives, as columns of a table."""
+    """Mean, interval and the middle 90 % of a metric over drives, as columns of a table.
+
+    No metric of the tables is negative.
+    """
     p5, p95 = np.percentile(values.dropna(), (5, 95)) if values.notna().any() else (np.nan, np.nan)
-    return over_seeds(np.mean, values)._asdict() | dict(p5=p5, p95=p95)
+    return over_seeds(np.mean, values, least=0.0)._asdict() | dict(p5=p5, p95=p95)
 
 
 def single_runs(runs):

@@ -194,7 +194,7 @@ def _interval(value, error, freedom, confidence=CONFIDENCE):
     return value - half, value + half
 
 
-def over_seeds(statistic, *samples, confidence=CONFIDENCE):
+def over_seeds(statistic, *samples, confidence=CONFIDENCE, least=-np.inf):
     """Estimate a statistic over seeds with its interval.
 
     Args:
@@ -203,6 +203,7 @@ def over_seeds(statistic, *samples, confidence=CONFIDENCE):
         samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
             them is left out of all.
         confidence: With which the interval holds the truth.
+        least: What the statistic cannot be below, such as 0 of an error or a count.
 
     Returns:
         Interval, n the seeds that count; its numbers are NaN where n is below 2.
@@ -212,7 +213,8 @@ def over_seeds(statistic, *samples, confidence=CONFIDENCE):
     if samples.shape[1] < 2:
         return Interval(np.nan, np.nan, np.nan, samples.shape[1])
     value, error, freedom = _estimate(statistic, samples)
-    return Interval(value, *_interval(value, error, freedom, confidence), freedom + 1)
+    low, high = _interval(value, error, freedom, confidence)
+    return Interval(value, max(low, least), high, freedom + 1)
 
 
 def share_interval(k, n, confidence=CONFIDENCE):

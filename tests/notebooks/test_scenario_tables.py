@@ -36,6 +36,18 @@ def test_a_ratio_is_that_of_the_means_of_the_weights_it_names():
         assert ratio.mean == pytest.approx(values[one] / values[other])
 
 
+def test_the_interval_of_a_metric_that_is_not_negative_is_not_negative():
+    """One violation in three drives has an interval beyond 0 by Student's t."""
+    weights = [*scenario_tables.yaw_weights()]
+    sweep = pd.DataFrame(dict(weight=np.repeat(weights, 3), seed=[0, 1, 2] * len(weights)))
+    sweep = sweep.assign(
+        **dict.fromkeys(scenario_tables._QUANTITIES_A, [0.0, 0.0, 1.0] * len(weights))
+    )
+    table = scenario_tables.scenario_a_table(sweep)
+    means = table[~table["weight"].str.contains("/")]
+    assert (means["low"] == 0).all() and (means["high"] > means["mean"]).all()
+
+
 def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():
     text = "-0.3 [-1.2, -3e-05] on 2024-07-29, left-right, x - y"
     assert tables.with_minus(text) == "−0.3 [−1.2, −3e−05] on 2024-07-29, left-right, x − y"
