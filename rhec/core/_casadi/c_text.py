@@ -79,16 +79,20 @@ def without_inlining(text):
     of more than _LONG lines is inlined: Clang takes an eighth less time for the RHE of 12 states.
     """
     calls = Counter(_CALL_OF.findall(text))
-    often = [name for name, times in calls.items() if times >= _OFTEN]
+    names = [name for name, times in calls.items() if times >= _OFTEN]
     if _is_large(text):
-        bodies = re.split(r"(?m)^(?=/\* \w+:\()", text)
-        often += [
-            re.search(r"casadi_f\d+|$", body)[0] for body in bodies if body.count("\n") > _LONG
-        ]
-    often = "|".join(filter(None, often))
-    if not often:
+        names += _long_functions(text)
+    if not names:
         return text
-    return re.sub(rf"(?m)^static (int (?:{often})\()", rf"static {_NOINLINE} \1", text)
+    heads = "|".join(names)
+    return re.sub(rf"(?m)^static (int (?:{heads})\()", rf"static {_NOINLINE} \1", text)
+
+
+def _long_functions(text):
+    """Names of the Functions of more than _LONG lines."""
+    parts = re.split(r"(?m)^(?=/\* \w+:\()", text)  # a comment precedes each Function
+    heads = [re.search(r"casadi_f\d+", part) for part in parts if part.count("\n") > _LONG]
+    return [head[0] for head in heads if head]
 
 
 def _without_checks(text):

@@ -50,7 +50,8 @@ def update(m, P, z, V, outputs, s_bar):
         innovations.append(y)
         variances.append(S)
         distance += y**2 * weight
-    y, S = ca.vertcat(*innovations), ca.vertcat(*variances)
+    y = ca.vertcat(*innovations)
+    S = ca.vertcat(*variances)
     deviance = deviance_of(z, outputs, y, S)
     return Update(m, P, ca.horzcat(*gains), ca.vertcat(*weighted), deviance, distance, y, S)
 

@@ -148,10 +148,8 @@ def build(window, judge):
         noise = {name: inputs[name] for name in window.noise}
         prepared = _prepared(window, inputs)
         z_kept = choose(**select_inputs(choose, inputs))["z_kept"]
-        v_m, v_kept = (
-            window.interval.input_noise(z, inputs["v_N"], **noise)[0]
-            for z in (inputs["z_N"], z_kept)
-        )
+        v_m, _ = window.interval.input_noise(inputs["z_N"], inputs["v_N"], **noise)
+        v_kept, _ = window.interval.input_noise(z_kept, inputs["v_N"], **noise)
         given = inputs | dict(s_M=inputs["s"][:, window.N - 1], v_m=v_m)
         found = again(**select_inputs(again, given))
         measured = _either(window, found.pop("is_new"), found, prepared)

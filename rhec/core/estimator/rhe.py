@@ -446,21 +446,24 @@ def _build_condition(window):
     ):
         """The newest estimate given q:  s = m - P C' λ,  λ = H (q̂ - q), P the covariance.
 
-        Where that is not finite it is `_predicted`, with the last input as measured.
+        Where that is not finite, the estimate is the prediction (`_predicted`), with the last input
+        as measured.
         """
         s_N, B_N, v_N, z_N, K_N, e_N = newest.values()
         multipliers = H @ (C @ m - q)
         s = m - covariance @ C.T @ multipliers
         ok = solved * is_plausible(ca.vertcat(s, ca.vec(covariance), multipliers))
-        s[[*interval.bounds]] = q  # exactly: by a rounding error s may pass a bound
+        # Exactly as the QP found it: by a rounding error, s may be beyond a bound.
+        s[[*interval.bounds]] = q
         v, R_v = interval.input_noise(z_N, v_N, **noise)
         if not window.quantities:
             adjoint = C.T @ multipliers
             adjoint = adjoint_before_update(interval.outputs, adjoint, K_N, e_N, s_N, z_N)
             v_new = v - R_v * (B_N.T @ adjoint)
             v = ca.if_else(ok * is_plausible(v_new), v_new, v)
-        predicted = _predicted(interval, s_N)
-        s, covariance = (ca.if_else(ok, *pair) for pair in zip((s, covariance), predicted))
+        s_predicted, unknown = _predicted(interval, s_N)
+        s = ca.if_else(ok, s, s_predicted)
+        covariance = ca.if_else(ok, covariance, unknown)
         values = dict(zip(window.model.inputs, ca.vertsplit(v)))
         values |= dict(zip(window.model.joint_names, ca.vertsplit(s)))
         estimate = ca.vertcat(*(values[name] for name in window.estimated))
@@ -974,7 +977,10 @@ class RHE(RealTimeLoop):
 
     @property
     def rejected(self) -> float:
-        """Share of rejected samples: a running mean over 30 of them, or three longer windows."""
+        """Share of samples that were rejected as outliers, a running mean over about 30 of them.
+
+        The mean is over three windows, if these are longer.
+        """
         return self.iteration.arrays["share_after"].item()
 
     @property
