@@ -38,8 +38,9 @@ def opened():
             yield None
             return
         stack.callback(chromium.close)
-        home, folder = (Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2))
-        lab = stack.enter_context(browser.jupyter_lab(home, folder))
+        home = stack.enter_context(tempfile.TemporaryDirectory())
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        lab = stack.enter_context(browser.jupyter_lab(Path(home), Path(folder)))
         page = chromium.new_page(viewport=dict(width=1440, height=900))
         page.set_default_timeout(browser.PATIENCE_MS)
         yield lab, page
@@ -60,10 +61,11 @@ def measure(lab, page, moves=40):
         handle.focus()
         moved(page, FIRST)
         page.wait_for_timeout(OPTIMISED_MS if moves > FIRST else 0)
-        took, ran = np.transpose(moved(page, moves))
-        low, middle, high = np.quantile(took, (0.05, 0.5, 0.95))
-        row = dict(drives=drives, moves=moves, median_ms=middle, low_ms=low, high_ms=high)
-        rows.append(row | dict(kernel_median_ms=np.median(ran)))
+        took_ms, ran_ms = np.transpose(moved(page, moves))
+        low, median, high = 1e-3 * np.quantile(took_ms, (0.05, 0.5, 0.95))
+        row = dict(drives=drives, moves=moves, picture_s_median=median)
+        row |= dict(picture_s_low=low, picture_s_high=high)
+        rows.append(row | dict(kernel_s_median=1e-3 * np.median(ran_ms)))
     return pd.DataFrame(rows)
 
 

@@ -221,10 +221,8 @@ def explorer():
     rows = [
         {
             "": f"{row['drives']:.0f} drives" if row["drives"] > 1 else "1 drive",
-            "from the key to the picture, median [5 %, 95 %]": "{} [{}, {}]".format(
-                *(in_units(1e-3 * row[f"{part}_ms"]) for part in ("median", "low", "high"))
-            ),
-            "of this the drives": in_units(1e-3 * row["kernel_median_ms"]),
+            "from the key to the picture, median [5 %, 95 %]": _range(row, "picture_s"),
+            "of this the drives": in_units(row["kernel_s_median"]),
             "moves": f"{row['moves']:.0f}",
         }
         for row in read("explorer").to_dict("records")
