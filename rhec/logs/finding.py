@@ -13,7 +13,7 @@ _OF = dict(columns="rhec.logs.read", calibrate="rhec.log")
 
 def _in_python(argument, value=None):
     if argument == "output":  # of the command alone
-        return "yaml, and rhec.export"
+        return "its attribute yaml, and rhec.export"
     if value is None:
         return argument
     of = f" of {_OF[argument]}" if argument in _OF else ""
