@@ -21,12 +21,15 @@ class Change(NamedTuple):
 
 
 def largest_difference(run, world, change):
-    """The largest difference of the results of both runs, by the size of each quantity.
+    """The largest difference of the results of a run in the world and in the changed one."""
+    return difference(run(world), change.undo(run(change.apply(world))))
+
+
+def difference(first, other):
+    """The largest difference of results {name: series}, by the size of each quantity.
 
     That is its range or, of one that never moves, such as a command at its bound, its value.
     """
-    first = run(world)
-    other = change.undo(run(change.apply(world)))
     sizes = {name: np.ptp(v) or max(np.abs(v).max(), 1e-9) for name, v in first.items()}
     return max(np.max(np.abs(other[name] - first[name])) / sizes[name] for name in first)
 
