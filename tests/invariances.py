@@ -20,12 +20,12 @@ class Change(NamedTuple):
     undo: Callable  # results -> those of the first world
 
 
-def largest_difference(run, world, change):
-    """The largest difference of the results of both runs, by the size of each quantity.
+def largest_difference(first, run, world, change):
+    """By how much the results of a run in the other world differ, once undone, from the `first`.
 
-    That is its range or, of one that never moves, such as a command at its bound, its value.
+    Of each quantity by its size, which is its range or, of one that never moves, such as a command
+    at its bound, its value.
     """
-    first = run(world)
     other = change.undo(run(change.apply(world)))
     sizes = {name: np.ptp(v) or max(np.abs(v).max(), 1e-9) for name, v in first.items()}
     return max(np.max(np.abs(other[name] - first[name])) / sizes[name] for name in first)

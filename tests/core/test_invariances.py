@@ -1,8 +1,8 @@
 """What is done to the world × what is run in it: estimates and plans have to follow.
 
 They do not depend on where, how turned and in which units a robot is, nor on what does not count.
-Each row of the table is a robot, a run and a change. `make test` has each run with each change
-once, `make nightly` all rows, and some in exported C. A closed loop with its world is in
+Each row of the table is a robot, a run and a change. `make test` has each run of the live objects
+with each change once, `make nightly` all rows, and some in exported C. A closed loop with its world is in
 `tests/simulation/test_both_sides`. That lanes have the bits of a single run `tests/agreement` tests
 of the loops of campaigns, and of any robot's RHE with an RHC that bounds commands alone. No
 campaign runs the EKF, or other bounds, of a Model.
@@ -301,53 +301,63 @@ TABLE = [(robot, run, change) for robot in ROBOTS for run in RUNS for change in 
 PAPERS = [("crawler", run, change) for run in PAPERS_RUNS for change in PAPERS_RUNS[run][1]]
 
 
-def assert_follows(*row):
-    robot, run, change = row
-    run, changes = (RUNS | PAPERS_RUNS)[run]
-    robot = ROBOTS[robot]
-    assert largest_difference(run, world_of(robot), changes[change](robot)) < 1e-6
+def alternately(run, robots):
+    """Rows of each change once, with these robots in turn."""
+    return {(robots[k % len(robots)], run, change) for k, change in enumerate(RUNS[run][1])}
 
 
-def once(table):
-    """Of all robots' rows each run with each change once, so that all robots have some."""
-    n = len(table) // len(ROBOTS)
-    return [table[(k % len(ROBOTS)) * n + k] for k in range(n)]
+QUICK = alternately("RHE", ("crawler", "bicycle"))
+QUICK |= alternately("EKF", ("tracks", "unicycle"))
+QUICK |= alternately("RHC", ("unicycle", "cart-pole"))
+QUICK |= alternately("RHC in a lane", ("cart-pole", "crawler"))
+# A replay otherwise is its live estimator, as `test_any_robot` shows.
+QUICK |= {("bicycle", "replayed RHE", *CLOCK), ("tracks", "replayed EKF", *CLOCK)}
+QUICK |= {row for row in PAPERS if row[1] in ("paper's RHE printed", "paper's RHC")}
 
 
-@pytest.mark.parametrize("row", [*once(TABLE), *PAPERS], ids=" ".join)
+def rows():
+    for row in [*TABLE, *PAPERS]:
+        yield pytest.param(row, marks=() if row in QUICK else pytest.mark.nightly, id=" ".join(row))
+
+
+@functools.cache
+def first_results(robot, run):
+    run, _ = (RUNS | PAPERS_RUNS)[run]
+    return run(world_of(ROBOTS[robot]))
+
+
+@pytest.mark.parametrize("row", [*rows()])
 def test_estimates_and_commands_follow(row):
-    assert_follows(*row)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("row", TABLE, ids=" ".join)
-def test_estimates_and_commands_of_any_robot_follow(row):
-    assert_follows(*row)
+    robot, name, change = row
+    run, changes = (RUNS | PAPERS_RUNS)[name]
+    first = first_results(robot, name)
+    robot = ROBOTS[robot]
+    assert largest_difference(first, run, world_of(robot), changes[change](robot)) < 1e-6
 
 
 def plans(world):
-    """The commands that a plan has after 1, 2, … 8 iterations."""
+    """The commands that a plan has after few and many iterations."""
     robot = world["robot"]
     quantities = dict(x=robot.states, p=robot.parameters, x_ref=robot.states, u_ref=robot.inputs)
     given = {key: told(world, key, names) for key, names in quantities.items()}
     mpc = controller(world, in_lane=False)
     found = []
-    for iterations in range(1, 9):
+    for iterations in (1, 2, 4, 8):
         mpc.restart()
         mpc.solve(**given, iterations=iterations)
         found.append(mpc.u_plan.T)
     return by_name(robot.inputs, np.concatenate(found))
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("robot", ["bicycle", "cart-pole", "tracks", "crawler", "unicycle", "cart"])
 def test_each_iteration_goes_as_far_whatever_the_units_of_states_are(robot):
     """From far away, where steps are shortened, so that what is missing between nodes counts."""
     robot, rng = ROBOTS[robot], np.random.default_rng(7)
-    world = world_of(robot)
-    for _ in range(2):
-        far = {name: x + 4 * rng.normal() for name, x in world["x"].items()}
-        for change in ("in mm", "each in a unit of its own"):
-            assert largest_difference(plans, world | dict(x=far), TOLD[change](robot)) < 1e-6
+    far = {name: x + 4 * rng.normal() for name, x in world_of(robot)["x"].items()}
+    world = world_of(robot) | dict(x=far)
+    change = TOLD["each in a unit of its own"](robot)
+    assert largest_difference(plans(world), plans, world, change) < 1e-6
 
 
 @pytest.mark.nightly
@@ -383,4 +393,5 @@ def test_they_follow_in_c(tmp_path, robot, change):
         return found | {f"{name}, command": u for name, u in told_back(commanded).items()}
 
     apply, told_back = TOLD[change](robot)
-    assert largest_difference(in_c, world_of(robot), Change(apply, undo)) < 1e-6
+    world = world_of(robot)
+    assert largest_difference(in_c(world), in_c, world, Change(apply, undo)) < 1e-6
