@@ -51,7 +51,7 @@ def cart_log(seed, samples):
     """
     rng = np.random.default_rng(seed)
     guess, z = mhe_instance(CART, rng, samples - 1, missing=0.3)
-    z[30:40, 0] = np.nan
+    z[22:32, 0] = np.nan
     return guess, z
 
 
@@ -81,7 +81,7 @@ def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, share, discrete):
     """Without process noise (share 0) the window's length makes no difference; with it, what has
     left the window was filtered with W, the window without.
     """
-    guess, z = cart_log(0, 80)
+    guess, z = cart_log(0, 45)
     sigma_w = tuple(share * np.array(CART.sigma_w))
     options = dict(horizon=horizon, sigma_w=sigma_w)
     if discrete:
@@ -91,7 +91,7 @@ def test_on_a_linear_robot_it_is_the_kalman_filter(horizon, share, discrete):
 
 
 def test_on_a_linear_robot_the_ekf_is_the_kalman_filter():
-    guess, z = cart_log(1, 80)
+    guess, z = cart_log(1, 45)
     ekf = rhec.EKF(model=model(CART), dt=DT, guess=tuple(guess), **CART.estimator)
     compare_with_kalman(ekf, z, guess, CART.sigma_w, lambda k: k)
 
@@ -237,7 +237,7 @@ def test_estimates_never_leave_their_bounds(robot, data):
             assert np.all(np.isfinite(part))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_commands_never_leave_their_bounds(data):
     """Not by one bit, whatever finite problem is given."""

@@ -113,18 +113,6 @@ def test_on_a_linear_robot_it_is_the_kalman_filter(make):
     assert made.ok
 
 
-def test_iterations_end_where_a_step_ends_that_is_exact():
-    z, known = drive(np.random.default_rng(1), 20)
-    one, other = (rhec.RHE(model=cart(), dt=DT, horizon=6, **NOISE) for _ in range(2))
-    for row, signals in zip(z, known):
-        stepped = one.step(row, known=by_name(signals))
-        other.prepare()
-        solved = other.solve(row, known=by_name(signals))
-        assert other.converged
-        np.testing.assert_allclose([*solved.x, *solved.p], [*stepped.x, *stepped.p], atol=1e-8)
-        np.testing.assert_allclose(one.x_window, other.x_window, atol=1e-8)
-
-
 def samples_of_row_robot(direction, n=60):
     """Measurements of a drive beside a row, with a jump that restarts the window."""
     rng = np.random.default_rng(2)

@@ -111,7 +111,7 @@ def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
 def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
     """States of a pendulum that no plan expects, so that the search of the active set gives up."""
     pendulum = published_problems.pendulum()
-    rhc = rhec.RHC(**pendulum.options | dict(dt=0.05))
+    rhc = rhec.RHC(**pendulum.options | dict(dt=0.05, horizon=20))
     rng = np.random.default_rng(2)
     solved = []
     for x in rng.normal(size=(10, 4)) * (1.0, 3.0, 2.0, 2.0):

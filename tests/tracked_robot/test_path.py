@@ -74,7 +74,7 @@ def test_a_path_turns_to_the_sides_that_it_says(turns):
 def test_no_two_parts_of_the_alternating_path_touch():
     """So that the closest point is never on another part than the one that is driven."""
     path = PATHS["alternate"]
-    s = np.arange(0, path.length_m, 0.1)
+    s = np.arange(0, path.length_m, 0.2)
     xy = path.poses(s)[0][:, :2]
     apart = np.abs(s[:, None] - s)
     apart = np.minimum(apart, path.length_m - apart)
@@ -103,7 +103,7 @@ def test_the_projection_is_the_closest_of_finely_sampled_points(name):
     s = np.linspace(0, path.length_m, 100_001)
     samples = path.poses(np.minimum(s, path.length_m - 1e-9))[0][:, :2]
     xy = np.random.default_rng(0).uniform(
-        samples.min(axis=0) - 3, samples.max(axis=0) + 3, (300, 2)
+        samples.min(axis=0) - 3, samples.max(axis=0) + 3, (100, 2)
     )
     distance, where = path.project(xy)
     brute = np.array([np.hypot(*(samples - point).T).min() for point in xy])
