@@ -20,9 +20,9 @@ class Change(NamedTuple):
     undo: Callable  # results -> those of the first world
 
 
-def largest_difference(run, world, change):
-    """The largest difference of the results of a run in the world and in the changed one."""
-    return difference(run(world), change.undo(run(change.apply(world))))
+def largest_difference(first, run, world, change):
+    """By how much the results of a run in the other world differ, once undone, from the `first`."""
+    return difference(first, change.undo(run(change.apply(world))))
 
 
 def difference(first, other):

@@ -31,7 +31,6 @@ class EstimationProblem(NamedTuple):
 
     options: dict  # of rhec.RHE
     start: tuple
-    p: tuple  # true parameters
     inputs: np.ndarray  # true inputs (samples, n_u)
 
 
@@ -50,9 +49,8 @@ class Record(NamedTuple):
     x: np.ndarray  # true states (samples, n_x)
     z: np.ndarray  # measurements (samples, n_z)
     x_hat: np.ndarray  # estimates (samples, n_x)
-    p_hat: np.ndarray  # estimated parameters (samples, n_p)
-    iterated: np.ndarray  # (n_x + n_p,) newest estimate of the last window, by rhec.RHE.solve
-    ipopt: np.ndarray  # (n_x + n_p,) the same by IPOPT
+    iterated: np.ndarray  # (n_x,) newest estimate of the last window, by rhec.RHE.solve
+    ipopt: np.ndarray  # (n_x,) the same by IPOPT
 
 
 # Controllers
@@ -165,7 +163,7 @@ def range_bearing():
     options |= dict(guess=(0.1, 0.3, 0.0), sigma_guess=(0.3, 0.3, 0.3))
     turning = 0.6 * np.sign(np.sin(0.08 * np.arange(120)))
     inputs = np.column_stack([0.4 + 0.1 * np.cos(0.1 * np.arange(120)), turning])
-    return EstimationProblem(options, (0.2, 0.1, 0.2), (), inputs)
+    return EstimationProblem(options, (0.2, 0.1, 0.2), inputs)
 
 
 def mass_on_a_spring():
@@ -183,29 +181,7 @@ def mass_on_a_spring():
     options = dict(model=model, dt=0.05, horizon=10, arrival_mean="filtered")
     options |= dict(sigma_v=(0.005, 0.1), sigma_w=(0.0, 0.0))
     options |= dict(guess=(1.0, 0.0), sigma_guess=(0.01, 0.01))
-    return EstimationProblem(options, (1.0, 0.0), (), np.cos(0.05 * np.arange(400))[:, None])
-
-
-def masses():
-    """Three masses on springs, one of unknown inertia, after do-mpc's MHE; no motor dynamics."""
-
-    def f(x, u, p):
-        c = 1e-3 * np.array([2.697, 2.66, 3.05, 2.86])
-        turns = ca.vertcat(u[0], x[:3], u[1])
-        torque = c[1:] * (turns[2:] - turns[1:4]) - c[:3] * (turns[1:4] - turns[:3])
-        damping = 1e-5 * ca.vertcat(6.78, 8.01, 8.82) * x[3:]
-        return ca.vertcat(x[3:], (torque - damping) / ca.vertcat(p, 2.25e-4, 2.25e-4))
-
-    motors = ("motor_1_rad", "motor_2_rad")
-    outputs = ("phi_1_rad", "phi_2_rad", "phi_3_rad", *motors)
-    states = (*outputs[:3], "w_1", "w_2", "w_3")
-    parameters = {"inertia": (1e-5, 1e-3)}
-    model = Model(states=states, inputs=motors, parameters=parameters, outputs=outputs, f=f)
-    options = dict(model=model, dt=0.1, horizon=10, sigma_v=(0.01,) * 3 + (1e-3,) * 2)
-    options |= dict(sigma_w=(0.0,) * 7, guess=(0.0,) * 6 + (1e-4,), arrival_mean="filtered")
-    options |= dict(sigma_guess=(1.0,) * 6 + (1e-3,))
-    steps = 2 * np.random.default_rng(0).uniform(-1, 1, (20, 2)).repeat(5, axis=0)
-    return EstimationProblem(options, (1.0, 0.6, 0.1, 0.0, 0.0, 0.0), (2.25e-4,), steps)
+    return EstimationProblem(options, (1.0, 0.0), np.cos(0.05 * np.arange(400))[:, None])
 
 
 # Loops
@@ -244,21 +220,20 @@ def estimate(problem, seed=0):
     rows = []
     for k, u in enumerate(problem.inputs):
         if k:  # a measured input belongs to the interval that ends with the sample
-            x = step(x, u, problem.p).full().ravel()
-        z = model.measurement(x, u, problem.p).full().ravel()
+            x = step(x, u, []).full().ravel()
+        z = model.measurement(x, u, []).full().ravel()
         z = z + rng.normal(size=len(z)) * problem.options["sigma_v"]
         rhe.prepare()
         arrival = {name: rhe.iteration.current[name].copy() for name in "mP"}
         found = rhe.feedback(z)
-        rows.append((x, z, found.x, found.p))
+        rows.append((x, z, found.x))
     columns = [np.array(column) for column in zip(*rows)]
-    found = rhe.solve(rows[-1][1], iterations=30)
-    iterated = np.append(found.x, found.p)
+    iterated = rhe.solve(rows[-1][1], iterations=30).x
     return Record(*columns, iterated, _by_ipopt(problem, columns[1], arrival))
 
 
 def _by_ipopt(problem, z, arrival):
-    """The newest (x, p) of the last window, by IPOPT."""
+    """The newest state of the last window, by IPOPT."""
     options = problem.options
     N = options["horizon"]
     H = np.linalg.inv(arrival["P"].reshape(2 * (arrival["m"].size,)))

@@ -127,9 +127,9 @@ def driven_by_yaw_rate():
 FORMS = (virtual_machine, live, in_lanes, in_c)
 # {loop: its forms in the quick tests}; tests/simulation/test_lanes.py runs more loops in lanes.
 ALWAYS = {
-    "rhe": (live, in_lanes, in_c),
-    "sensors and faults": FORMS,
-    "yaw drift": (live, in_lanes, in_c),
+    "rhe": (live, in_lanes),
+    "sensors and faults": (virtual_machine, live, in_lanes),
+    "yaw drift with a gyro": (live, in_c),
     "everything else": (virtual_machine, in_c),
     "own controller": (virtual_machine, in_lanes),
 }

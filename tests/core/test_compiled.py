@@ -404,6 +404,17 @@ def test_a_buffered_function_computes_what_the_function_does():
     assert buffered.results["norm"] == 1
 
 
+def test_a_function_that_calls_qpoases_is_left_out_of_the_library():
+    """CasADi makes no C of it."""
+    x = ca.SX.sym("x")
+    solve = ca.qpsol("qp", "qpoases", dict(x=x, f=x**2), dict(printLevel="none"))
+    g = ca.MX.sym("g")
+    solved = ca.Function("solved", [g], [solve(lbx=g)["x"]])
+    names, text = compiled.library_text(build_increment() | dict(solved=solved))
+    assert names == dict(increment="increment", solved=None)
+    assert "increment" in text and "solved" not in text
+
+
 def test_a_function_that_is_called_often_is_not_inlined():
     """Nine times in one body is often; twice is not."""
 

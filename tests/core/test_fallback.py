@@ -90,7 +90,11 @@ def test_what_upsets_the_memory_is_solved_or_flagged_and_forgotten(given, name):
     assert np.abs(estimates - TRUTH[: len(z)])[-20:, :2].max() < error_m
     P = arrival_covariance(rhe)
     np.testing.assert_array_equal(P, P.T)
-    assert np.linalg.eigvalsh(P).min() > 0
+    variances = np.linalg.eigvalsh(P)
+    # A prior of rank 1 knows how far the antenna is ahead minus how far it is to the left. Both are
+    # constants without process noise, so that this variance stays 0 but for rounding.
+    least = -1e-14 * variances.max() if name == "a prior of rank 1" else 0
+    assert variances.min() > least
 
 
 @estimators

@@ -43,7 +43,7 @@ def test_no_fault_costs_the_rhe_more_than_the_ekf_on_many_drives(case):
 @pytest.mark.parametrize("robot", ["paper, printed", "paper, consistent"])
 def test_rtk_that_falls_to_float_costs_the_rhe_no_more_than_the_ekf(robot):
     """Many of these samples agree by chance, so that few are rejected in a row."""
-    assert_kept(table.Case(robot, "later", "positions 0.3 m off, 26 s"), range(16))
+    assert_kept(table.Case(robot, "later", "positions 0.3 m off, 26 s"), range(8))
 
 
 @pytest.mark.parametrize("process_noise", ["printed", "consistent"])
@@ -74,7 +74,8 @@ def found(robot, fault="none", when="later", judge=table.ANY):
     return drives, *table.run(table.ROBOTS[robot].estimators(judge)["RHE"], drives)
 
 
-ROBOTS = [name for name in table.ROBOTS if name != "tank"]
+# Of those that jump one: they differ in speed alone.
+ROBOTS = ["paper, printed", "paper, consistent", "bicycle", "unicycle", "jumping unicycle, 2 m/s"]
 UP_TO_THREE = [name for name in table.WILD if name[0] in "123" and name[1] == " "]
 
 
@@ -138,13 +139,15 @@ def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
     assert ok[:, -100:].all() and error[:, -100:].max() < 0.3
 
 
-def test_after_a_storm_of_absurd_samples_the_estimate_is_back():
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("n", [80, 480])
+def test_after_a_storm_of_absurd_samples_the_estimate_is_back(n):
     """A window whose solution swings does not take its own swings for noise of the receiver.
 
-    Few of 480 drives are not back after 14 s, and none is lost after 20 s.
+    Few of n drives are not back after 14 s, and none is lost after 20 s.
     """
     clean = table.paper_drives(range(8))
-    z, places = (np.tile(each, (60, 1, 1)) for each in (clean.z, clean.places))
+    z, places = (np.tile(each, (n // 8, 1, 1)) for each in (clean.z, clean.places))
     rng = np.random.default_rng(1)
     storm = z[:, 100:160]
     sign = rng.choice([-1, 1], storm.shape)
@@ -198,20 +201,6 @@ def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
         assert (flags[name].full() == is_ok).all()
 
 
-def test_the_live_estimator_is_that_of_the_loop_and_has_no_kkt_where_it_is_not_ok():
-    z = table.spoiled(table.Case("paper, printed", "later", "moved for good by 5 m"), DRIVES).z[0]
-    live = rhec.RHE(process_noise="printed")
-    estimator = table.ROBOTS["paper, printed"].estimators()["RHE"]
-    drives = table.Drives(z[None], z[None, :, :2])
-    (places,), (ok,) = table.run(estimator, drives)
-    for row, place, is_ok in zip(z, places, ok):
-        live.prepare()
-        assert live.feedback(row).pose[:2] == pytest.approx(place, abs=1e-9)
-        assert live.ok == is_ok
-        assert np.isnan(live.kkt) != is_ok
-        assert ("far from its prediction" in live.status) != is_ok
-
-
 def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     z = table.simulated_drives("bicycle", range(1)).z[0]
     settings = table.settings_of("bicycle")
@@ -220,9 +209,11 @@ def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     for row in z[:40]:
         live.step(row)
     assert live.accepted.tolist() == [True] * 4 and live.rejected == 0
+    assert live.ok and np.isfinite(live.kkt)
     live.step(z[40] + (1e3, 0.0, 0.0, 0.0))  # a position is judged as a whole
     assert live.accepted.tolist() == [False, False, True, True]
     assert live.rejected == pytest.approx(1 / 30)
+    assert not live.ok and np.isnan(live.kkt) and "far from its prediction" in live.status
     live.step(z[41] + (0.0, 0.0, np.nan, 0.0))
     assert live.accepted.tolist() == [True, True, False, True]
     assert live.rejected == pytest.approx(29 / 30**2)

@@ -1,8 +1,9 @@
 """What is done to the world × what is run in it: estimates and plans have to follow.
 
 They do not depend on where, how turned and in which units a robot is, nor on what does not count.
-Each row of the table is a robot, a run and a change. `make test` has each run with each change
-once, `make nightly` all rows, and some in exported C. A closed loop with its world is in
+Each row of the table is a robot, a run and a change. `make test` has each run of the live objects
+with each change once, `make nightly` all rows. That exported C computes the same `tests/agreement`
+shows. A closed loop with its world is in
 `tests/simulation/test_both_sides`. That lanes have the bits of a single run `tests/agreement` tests
 of the loops of campaigns, and of any robot's RHE with an RHC that bounds commands alone. No
 campaign runs the EKF, or other bounds, of a Model.
@@ -13,13 +14,11 @@ import functools
 import numpy as np
 import pandas as pd
 import pytest
-from in_c import InC
 from invariances import Change, Lane, Linear, largest_difference, told_in
 from oracles import flat, mhe_instance, mpc_instance, plant
 from robots import BICYCLE, CART, CART_POLE, CRAWLER, DT, SKID_STEERED, UNICYCLE
 
 import rhec
-from rhec.core._casadi import compiled
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 ROBOTS = {
@@ -301,86 +300,64 @@ TABLE = [(robot, run, change) for robot in ROBOTS for run in RUNS for change in 
 PAPERS = [("crawler", run, change) for run in PAPERS_RUNS for change in PAPERS_RUNS[run][1]]
 
 
-def assert_follows(*row):
-    robot, run, change = row
-    run, changes = (RUNS | PAPERS_RUNS)[run]
-    robot = ROBOTS[robot]
-    assert largest_difference(run, world_of(robot), changes[change](robot)) < 1e-6
+def alternately(run, robots, without=()):
+    """Rows of the changes with these robots in turn, but for some changes."""
+    changes = [change for change in RUNS[run][1] if change not in without]
+    return {(robots[k % len(robots)], run, change) for k, change in enumerate(changes)}
 
 
-def once(table):
-    """Of all robots' rows each run with each change once, so that all robots have some."""
-    n = len(table) // len(ROBOTS)
-    return [table[(k % len(ROBOTS)) * n + k] for k in range(n)]
+# Of units those in which each quantity has one of its own, and those of time.
+UNITS = ("in mm", "in degrees")
+QUICK = alternately("RHE", ("crawler", "bicycle"), UNITS)
+QUICK |= alternately("EKF", ("tracks", "unicycle"))
+QUICK |= alternately("RHC", ("unicycle", "cart-pole"), (*UNITS, "a lane as an output"))
+WIDE = ("a redundant bound", "a price that never counts")
+QUICK |= alternately("RHC in a lane", ("cart-pole", "crawler"), (*UNITS, *WIDE))
+# A replay otherwise is its live estimator, as `test_any_robot` shows.
+QUICK |= {("bicycle", "replayed RHE", *CLOCK), ("tracks", "replayed EKF", *CLOCK)}
+QUICK |= {row for row in PAPERS if row[1] in ("paper's RHE printed", "paper's RHC")}
 
 
-@pytest.mark.parametrize("row", [*once(TABLE), *PAPERS], ids=" ".join)
+def rows():
+    for row in [*TABLE, *PAPERS]:
+        yield pytest.param(row, marks=() if row in QUICK else pytest.mark.nightly, id=" ".join(row))
+
+
+@functools.cache
+def first_results(robot, run):
+    run, _ = (RUNS | PAPERS_RUNS)[run]
+    return run(world_of(ROBOTS[robot]))
+
+
+@pytest.mark.parametrize("row", [*rows()])
 def test_estimates_and_commands_follow(row):
-    assert_follows(*row)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("row", TABLE, ids=" ".join)
-def test_estimates_and_commands_of_any_robot_follow(row):
-    assert_follows(*row)
+    robot, name, change = row
+    run, changes = (RUNS | PAPERS_RUNS)[name]
+    first = first_results(robot, name)
+    robot = ROBOTS[robot]
+    assert largest_difference(first, run, world_of(robot), changes[change](robot)) < 1e-6
 
 
 def plans(world):
-    """The commands that a plan has after 1, 2, … 8 iterations."""
+    """The commands that a plan has after few and many iterations."""
     robot = world["robot"]
     quantities = dict(x=robot.states, p=robot.parameters, x_ref=robot.states, u_ref=robot.inputs)
     given = {key: told(world, key, names) for key, names in quantities.items()}
     mpc = controller(world, in_lane=False)
     found = []
-    for iterations in range(1, 9):
+    for iterations in (1, 2, 4, 8):
         mpc.restart()
         mpc.solve(**given, iterations=iterations)
         found.append(mpc.u_plan.T)
     return by_name(robot.inputs, np.concatenate(found))
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("robot", ["bicycle", "cart-pole", "tracks", "crawler", "unicycle", "cart"])
 def test_each_iteration_goes_as_far_whatever_the_units_of_states_are(robot):
     """From far away, where steps are shortened, so that what is missing between nodes counts."""
     robot, rng = ROBOTS[robot], np.random.default_rng(7)
-    world = world_of(robot)
-    for _ in range(2):
-        far = {name: x + 4 * rng.normal() for name, x in world["x"].items()}
-        for change in ("in mm", "each in a unit of its own"):
-            assert largest_difference(plans, world | dict(x=far), TOLD[change](robot)) < 1e-6
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-@pytest.mark.parametrize("change", TOLD)
-@pytest.mark.parametrize("robot", ["bicycle", "cart-pole"])
-def test_they_follow_in_c(tmp_path, robot, change):
-    robot = ROBOTS[robot]
-    folders = iter(range(2))
-
-    def in_c(world):
-        rhe = estimator(world, rhec.RHE, horizon=8)
-        rhc = controller(world, in_lane=True)
-        library = InC(rhec.export((rhe, rhc), tmp_path / f"rhec_{next(folders)}"))
-        names = rhe.model.names
-
-        def estimate(row):
-            library.prepare()
-            return library.call("estimate", row, length=len(names))[0]
-
-        def command(*given):
-            library.prepare()
-            return library.call("control", *given, length=len(world["robot"].inputs))[0]
-
-        found = by_name(
-            names, [estimate(row) for row in told(world, "z", world["robot"].outputs).T]
-        )
-        return found | {f"{name}, command": u for name, u in driven(world, command).items()}
-
-    def undo(results):
-        commanded = {name.split(",")[0]: u for name, u in results.items() if "," in name}
-        found = told_back({name: value for name, value in results.items() if "," not in name})
-        return found | {f"{name}, command": u for name, u in told_back(commanded).items()}
-
-    apply, told_back = TOLD[change](robot)
-    assert largest_difference(in_c, world_of(robot), Change(apply, undo)) < 1e-6
+    far = {name: x + 4 * rng.normal() for name, x in world_of(robot)["x"].items()}
+    world = world_of(robot) | dict(x=far)
+    change = TOLD["each in a unit of its own"](robot)
+    assert largest_difference(plans(world), plans, world, change) < 1e-6

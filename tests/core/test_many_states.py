@@ -73,13 +73,12 @@ def test_of_a_linear_chain_it_is_the_kalman_filter(n):
 def test_its_code_grows_with_the_square_of_its_states():
     """That of a product of matrices as scalars would grow with the cube."""
     n_lines = []
-    for n in (6, 12, 24):
+    for n in (6, 12):
         judged = InnovationGate()
         window = Window(masses(n), DT, 10, judge=judged)
         _, text = compiled.library_text(build_solvable(window))
         n_lines.append(text.count("\n"))
     assert n_lines[1] < 2.5 * n_lines[0]
-    assert n_lines[2] < 4 * n_lines[1]
 
 
 def test_that_the_rule_lets_grow_what_the_model_damps_is_seen_in_loops():

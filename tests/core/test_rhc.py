@@ -29,11 +29,11 @@ def paper_problem(problem):
 
 
 def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
-    """With each solver on 5 random instances, each with weights of its own; at least a third of
+    """With each solver on 3 random instances, each with weights of its own; at least a third of
     them at the bounds. So it is where weights and bounds change later, by the model's names.
     """
     rng, bounded = np.random.default_rng(0), 0
-    instances = 15
+    instances = 9
     for k in range(instances):
         q, r, omega_max = tuple(rng.uniform(0.2, 3, 3)), rng.uniform(2, 12), rng.uniform(0.1, 0.4)
         bounds = {"omega_radps": (-omega_max, omega_max)}
@@ -111,14 +111,14 @@ def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
 def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
     """States of a pendulum that no plan expects, so that the search of the active set gives up."""
     pendulum = published_problems.pendulum()
-    rhc = rhec.RHC(**pendulum.options | dict(dt=0.05))
+    rhc = rhec.RHC(**pendulum.options | dict(dt=0.05, horizon=20))
     rng = np.random.default_rng(2)
     solved = []
-    for x in rng.normal(size=(20, 4)) * (1.0, 3.0, 2.0, 2.0):
+    for x in rng.normal(size=(10, 4)) * (1.0, 3.0, 2.0, 2.0):
         rhc.step(x, (), np.zeros(4), (0.0,))
         assert np.isfinite(rhc.kkt) == rhc.ok
         solved.append(rhc.ok)
-    assert 0 < sum(solved) < 20
+    assert 0 < sum(solved) < 10
 
 
 def test_without_a_reference_of_inputs_the_last_plan_goes_on():

@@ -54,6 +54,12 @@ def along(path, s, **given):
     }
 
 
+def test_a_path_may_be_given_as_lists():
+    path = PATHS["open"]
+    listed = rhec.Path(path.segments.tolist(), path.length_m, path.closed)
+    np.testing.assert_array_equal(listed.poses([4.0, 6.0])[0], path.poses([4.0, 6.0])[0])
+
+
 def test_a_path_may_be_shorter_than_a_metre():
     path = rhec.Path.from_segments([(0.3, 2.0)])
     np.testing.assert_allclose(path.poses([0.2])[0], [[np.sin(0.4) / 2, np.sin(0.2) ** 2, 0.4]])
@@ -74,7 +80,7 @@ def test_a_path_turns_to_the_sides_that_it_says(turns):
 def test_no_two_parts_of_the_alternating_path_touch():
     """So that the closest point is never on another part than the one that is driven."""
     path = PATHS["alternate"]
-    s = np.arange(0, path.length_m, 0.1)
+    s = np.arange(0, path.length_m, 0.2)
     xy = path.poses(s)[0][:, :2]
     apart = np.abs(s[:, None] - s)
     apart = np.minimum(apart, path.length_m - apart)
@@ -103,7 +109,7 @@ def test_the_projection_is_the_closest_of_finely_sampled_points(name):
     s = np.linspace(0, path.length_m, 100_001)
     samples = path.poses(np.minimum(s, path.length_m - 1e-9))[0][:, :2]
     xy = np.random.default_rng(0).uniform(
-        samples.min(axis=0) - 3, samples.max(axis=0) + 3, (300, 2)
+        samples.min(axis=0) - 3, samples.max(axis=0) + 3, (100, 2)
     )
     distance, where = path.project(xy)
     brute = np.array([np.hypot(*(samples - point).T).min() for point in xy])
