@@ -272,10 +272,13 @@ _HYPOTHESES = (
 
 
 def find(recording):
-    """The Findings of the fault that explains a Recording, of which there is at most one."""
+    """The Findings of the fault that explains a Recording, of which there is at most one.
+
+    Nothing is tried where the encoders explain the path as they are.
+    """
     with np.errstate(all="ignore"):
         as_it_is = explained(recording.rows)
-        if as_it_is is None:
+        if as_it_is is None or as_it_is[2] > _GOOD:
             return
         kappa = max(as_it_is[1].value, 0.0)
         log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)

@@ -277,12 +277,13 @@ def _check_encoders(recording):
     if not step_s:
         return
     n = max(round(_WINDOW_S / step_s), 3)
+    sigma_m = position_sigma_m(rows)
     there = rows.assign(**rows.groupby("segment")[_POSITION].ffill())[rows[_NU].notna()]
     nu = there[_NU]
     is_recorded = there["t_s"].diff(n).between(0, 2 * _WINDOW_S)  # without a pause
     way_m = _lengths(there[_POSITION].diff(n))
     is_zero = ((nu == 0) & (there[_OMEGA] == 0)).rolling(n).min() == 1
-    dead = is_zero & is_recorded & (way_m > max(_MOVED_M, 6 * position_sigma_m(rows)))
+    dead = is_zero & is_recorded & (way_m > max(_MOVED_M, 6 * sigma_m))
     # A track that stands makes ω/ν a constant.
     ratio = (there[_OMEGA] / nu).where(moves(there) & (nu != 0))
     window = ratio.rolling(n)
@@ -294,7 +295,7 @@ def _check_encoders(recording):
     # It is so of one that drives along one curve faster and slower. But without one track's speed
     # the encoders' way is shorter than that of the positions, which slip makes none.
     driven_m = step_s * nu.abs().rolling(n).sum()
-    beyond = way_m**2 - 4 * position_sigma_m(rows) ** 2 - driven_m**2
+    beyond = way_m**2 - 4 * sigma_m**2 - driven_m**2
     lasting &= beyond.groupby(run).transform("sum") > 0
     for code, what, shows_0 in (
         ("encoders_dead", "both encoders show 0 while the positions move, for", dead),

@@ -6,6 +6,7 @@ covariance tells them: `declared_m`.
 """
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import chdtri
 
 from rhec import paper
@@ -17,6 +18,7 @@ LEAST_M = paper.SIGMA_V[0]  # a smaller noise is not told apart from the errors 
 _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 _MOST_APART = 1.5  # time between two positions, over its median
+_POINTS = 4  # of a third difference
 _LEAST = 20  # differences; fewer tell nothing
 
 
@@ -38,13 +40,18 @@ def position_sigma_m(rows):
 
 def _squares(part):
     """Squares of the third differences of a segment over 20 [m²], of a robot that moves."""
+    has_position = part[_POSITION[0]].notna().to_numpy()
+    if has_position.sum() < _POINTS:
+        return np.empty(0)
     speeds = part[_ENCODERS].interpolate(limit_direction="both")
-    there = part.assign(moves=moves(speeds))[part[_POSITION[0]].notna()]
-    step_s = there["t_s"].diff()
-    is_dense = step_s.rolling(3).max() <= _MOST_APART * step_s.median()
-    counts = is_dense & (there["moves"].rolling(4).min() == 1)
-    thirds = there[_POSITION].diff().diff().diff()
-    return (thirds**2).sum(axis=1)[counts].to_numpy() / 20
+    drives = moves(speeds).to_numpy()[has_position]
+    step_s = np.diff(part["t_s"].to_numpy()[has_position])
+    is_dense = step_s <= _MOST_APART * np.median(step_s)
+    counts = sliding_window_view(is_dense, _POINTS - 1).all(axis=1) & sliding_window_view(
+        drives, _POINTS
+    ).all(axis=1)
+    thirds = np.diff(part[_POSITION].to_numpy()[has_position], n=3, axis=0)
+    return (thirds**2).sum(axis=1)[counts] / 20
 
 
 def declared_m(rows):

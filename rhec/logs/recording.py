@@ -383,7 +383,7 @@ def _drop_implausible(values, columns, limits):
                 f"unit and should be at most {limit:g}"
             )
         dropped[name] = int((size > limit).sum())
-        values.loc[~(size <= limit), name] = np.nan
+        values[name] = values[name].where(size <= limit)
     return dropped
 
 

@@ -275,8 +275,13 @@ def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
         pytest.skip(f"{compiler} has no sanitizers")
     sources = [f"{exported('paper')}/{source}" for source in ("fuzz.c", *toolchain.LIBRARY)]
     subprocess.run([*command, f"-I{exported('paper')}", *sources, "-lm"], check=True)
-    finished = subprocess.run([tmp_path / "fuzz", "1500"], capture_output=True, text=True)
-    assert finished.returncode == 0 and not finished.stderr
+    machine = toolchain.this_machine()
+    came_back = toolchain.nonsense(machine, tmp_path / "fuzz", 1500, 1).iloc[0]
+    samples, storms = came_back["samples"], came_back["storms"]
+    # A storm lasts 1 to 60 samples, and 100 calm ones follow.
+    assert samples >= 1500 and storms % 10 == 0 and 101 * storms <= samples <= 160 * storms
+    assert came_back["still_lost"] < 0.2 * storms and came_back["unnoticed"] == 0
+    assert 0 < came_back["estimator_restarted"] < 0.9 * samples
 
 
 @pytest.mark.nightly

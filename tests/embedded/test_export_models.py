@@ -19,6 +19,7 @@ from rhec.core._casadi import compiled
 
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
 TOLERANCE = 1e-9  # of answers, relative and absolute
+STAGES = 3  # of a controller; more only compile longer
 BICYCLE, SKID_STEERED = ROBOTS["bicycle"], ROBOTS["skid_steered"]
 
 
@@ -41,7 +42,7 @@ def estimator_of(robot, **options):
 
 
 def controller_of(robot, **options):
-    settings = dict(dt=DT, horizon=8) | robot.controller
+    settings = dict(dt=DT, horizon=STAGES) | robot.controller
     return rhec.RHC(model=rhec.Model(**robot.model), **settings | options)
 
 
@@ -51,8 +52,8 @@ def problems(robot, samples, seed=6):
     n_x, n_u = len(robot.states), len(robot.inputs)
     for _ in range(samples):
         x, p = rng.uniform(*robot.x_range), np.mean(robot.p_range, axis=0)
-        x_ref = rng.uniform(*robot.x_range, (9, n_x)).T
-        yield [x, p, x_ref, rng.uniform(*robot.u_range, (8, n_u)).T]
+        x_ref = rng.uniform(*robot.x_range, (STAGES + 1, n_x)).T
+        yield [x, p, x_ref, rng.uniform(*robot.u_range, (STAGES, n_u)).T]
 
 
 def alone():

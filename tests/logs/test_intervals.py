@@ -3,11 +3,13 @@
 The drives are simulated, in closed loop and in open loop (`notebooks.further.recorded.verdicts`).
 """
 
+import itertools
+
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from helpers import recorded_log
+from helpers import four_headings, recorded_log
 
 import rhec
 from notebooks.further.recorded import verdicts
@@ -16,18 +18,26 @@ from notebooks.studies.statistics import share_interval
 from rhec.logs import terms
 from rhec.logs.position_noise import position_sigma_m
 from rhec.logs.recording import prepare
+from rhec.simulation.columns import MEASUREMENTS
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """What is said of a robot in open loop."""
+    with four_headings():
+        return rhec.log(verdicts.open_loop_log(1))
 
 
 @pytest.mark.parametrize("sigma_m", [0.05, 0.4])
 def test_white_noise_on_a_straight_drive_has_its_deviation(sigma_m):
     """In the mean over 50 seeds within 3 %, whose own standard error is below 1 %."""
     t = np.arange(0, 240, 0.2)
+    straight = pd.DataFrame(dict(t_s=t, x_m=0.5 * t, y_m=0.0, speed_mps=0.5, yaw_rate_radps=0.0))
+    rows = prepare(straight).rows
     found = []
     for seed in range(50):
-        noise = sigma_m * np.random.default_rng(seed).standard_normal((2, len(t)))
-        log = pd.DataFrame(dict(t_s=t, x_m=0.5 * t + noise[0], y_m=noise[1]))
-        rows = prepare(log.assign(speed_mps=0.5, yaw_rate_radps=0.0)).rows
-        found.append(position_sigma_m(rows))
+        noise = sigma_m * np.random.default_rng(seed).standard_normal((len(rows), 2))
+        found.append(position_sigma_m(rows.assign(**rows[MEASUREMENTS[:2]] + noise)))
     assert np.std(found) / np.sqrt(50) < 0.01 * sigma_m
     assert np.mean(found) == pytest.approx(sigma_m, rel=0.03)
 
@@ -62,63 +72,65 @@ def test_the_traction_of_unlike_tracks_is_that_of_their_centres_of_rotation(seed
         np.testing.assert_allclose(told[place][0], motion[place], rtol=1e-12)
 
 
-def dead_reckoned(told, log, begin, n):
-    """Error (3,) and covariance of the pose after n rows by a filter with the YAML's numbers.
+def dead_reckoned(told, log, begins, n):
+    """Errors (starts, 3) and covariances of the pose after n rows by filters with the YAML's noise.
 
-    The filter is an EKF as that of robot_localization: pose and velocities (x, y, θ, u, v, w), of
-    which the velocities walk, and twists of the driver, with its covariance. It begins at the true
-    pose. Error and covariance are ahead and left of the true pose, and of the yaw.
+    Each is an EKF as that of robot_localization: pose and velocities (x, y, θ, u, v, w), of which
+    the velocities walk, and twists of the driver, with its covariance. It begins at a true pose.
+    Errors and covariances are ahead and left of the true pose, and of the yaw.
     """
     driver = told["diff_drive_controller"]["ros__parameters"]
     radius = driver["left_wheel_radius_multiplier"]
     turns = radius / driver["wheel_separation_multiplier"]
     R = np.diag(np.array(driver["twist_covariance_diagonal"])[[0, 1, 5]])
     process = told["ekf_filter_node"]["ros__parameters"]["process_noise_covariance"]
-    Q = np.diag(np.diag(np.reshape(process, (15, 15)))[[0, 1, 5, 6, 7, 11]])
-    rows = log.iloc[begin : begin + n + 1]
-    truth = rows[["x_true_m", "y_true_m", "yaw_true_rad"]].to_numpy()
-    z = np.column_stack(
-        [radius * rows["speed_mps"], 0 * rows["t_s"], turns * rows["yaw_rate_radps"]]
-    )
-    m = np.array([*truth[0], *z[0]])
-    P = np.zeros((6, 6))
-    P[3:, 3:] = R
+    q = np.diag(np.reshape(process, (15, 15)))[[0, 1, 5, 6, 7, 11]]
+    truth = log[["x_true_m", "y_true_m", "yaw_true_rad"]].to_numpy()
+    still = np.zeros(len(log))
+    z = np.column_stack([radius * log["speed_mps"], still, turns * log["yaw_rate_radps"]])
+    m = np.column_stack([truth[begins], z[begins]])
+    P = np.zeros((len(begins), 6, 6))
+    P[:, 3:, 3:] = R
     H = np.eye(6)[3:]
-    for twist, dt_s in zip(z[1:], np.diff(rows["t_s"])):
+    for k in range(1, n + 1):
+        dt_s = (log["t_s"].to_numpy()[begins + k] - log["t_s"].to_numpy()[begins + k - 1])[:, None]
         # The twist is a mean over the interval: it corrects the velocities that move the pose.
-        P[3:, 3:] += Q[3:, 3:] * dt_s
+        P[:, range(3, 6), range(3, 6)] += q[3:] * dt_s
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        m = m + K @ (twist - m[3:])
+        m = m + np.einsum("nij,nj->ni", K, z[begins + k] - m[:, 3:])
         P = (np.eye(6) - K @ H) @ P
-        middle = m[2] + m[5] * dt_s / 2
-        cos, sin = np.cos(middle), np.sin(middle)
-        A = np.eye(6)
-        A[:2, 3:5] = dt_s * np.array([[cos, -sin], [sin, cos]])
-        A[:2, 2] = dt_s * (np.array([[-sin, -cos], [cos, -sin]]) @ m[3:5])
-        A[2, 5] = dt_s
-        m = m + np.append(
-            dt_s * np.array([cos * m[3] - sin * m[4], sin * m[3] + cos * m[4], m[5]]), [0, 0, 0]
+        dt_s = dt_s[:, 0]
+        cos, sin = (trig(m[:, 2] + m[:, 5] * dt_s / 2) for trig in (np.cos, np.sin))
+        moved = np.transpose(
+            [cos * m[:, 3] - sin * m[:, 4], sin * m[:, 3] + cos * m[:, 4], m[:, 5]]
         )
-        P = A @ P @ A.T + np.diag(np.append(np.diag(Q)[:3] * dt_s, [0, 0, 0]))
-    yaw = truth[-1, 2]
-    turn = np.eye(3)
-    turn[:2, :2] = [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
-    return turn @ (m[:3] - truth[-1]), turn @ P[:3, :3] @ turn.T
+        A = np.tile(np.eye(6), (len(begins), 1, 1))
+        A[:, 0, 3] = A[:, 1, 4] = dt_s * cos
+        A[:, 0, 4], A[:, 1, 3] = -dt_s * sin, dt_s * sin
+        A[:, 0, 2], A[:, 1, 2] = -dt_s * moved[:, 1], dt_s * moved[:, 0]
+        A[:, 2, 5] = dt_s
+        m[:, :3] += dt_s[:, None] * moved
+        P = A @ P @ A.transpose(0, 2, 1)
+        P[:, range(3), range(3)] += q[:3] * dt_s[:, None]
+    there = truth[begins + n]
+    turn = np.tile(np.eye(3), (len(begins), 1, 1))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(there[:, 2])
+    turn[:, 0, 1], turn[:, 1, 0] = np.sin(there[:, 2]), -np.sin(there[:, 2])
+    errors = np.einsum("nij,nj->ni", turn, m[:, :3] - there)
+    return errors, turn @ P[:, :3, :3] @ turn.transpose(0, 2, 1)
 
 
-def test_the_covariances_of_the_yaml_make_a_consistent_filter():
+def test_the_covariances_of_the_yaml_make_a_consistent_filter(learnt):
     """On other drives of the same robot 95 % of its errors after 15 s are within 1.96 σ."""
-    learnt = verdicts.open_loop_log(1, duration_s=240.0)
-    told = yaml.safe_load(rhec.log(learnt).yaml)
-    errors, squares = [], []
-    for seed in range(10, 22):
-        log = verdicts.open_loop_log(seed, duration_s=240.0)
-        for begin in range(50, 2200, 200):
-            error, P = dead_reckoned(told, log, begin, 150)
-            errors.append(error / np.sqrt(np.diag(P)))
-            squares.append(error @ np.linalg.solve(P, error))
-    inside = (np.abs(errors) <= 1.96).mean(axis=0)
-    assert (inside > 0.85).all() and 0.5 < np.mean(squares) / 3 < 2
+    told = yaml.safe_load(learnt.yaml)
+    found = [
+        dead_reckoned(told, verdicts.open_loop_log(seed, 240.0), np.arange(50, 2200, 200), 150)
+        for seed in range(10, 22)
+    ]
+    errors, P = map(np.concatenate, zip(*found))
+    inside = np.abs(errors) <= 1.96 * np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(P, errors[..., None])[..., 0])
+    assert (inside.mean(axis=0) > 0.85).all() and 0.5 < squares.mean() / 3 < 2
 
 
 # Intervals: how many of them hold the truth
@@ -130,35 +142,36 @@ def is_plausible(k, n, least=0.90, most=0.99):
     return high >= least and low <= most
 
 
-def judged(seeds, worlds):
-    """Rows of `verdicts.judged`: open loop, and closed loop in worlds."""
-    rows = []
-    for seed in seeds:
-        known = [verdicts.MU, verdicts.KAPPA, 0.0]
-        rows.append(verdicts.judged(verdicts.open_loop_log(seed, duration_s=120.0), known))
-        rows += [verdicts.judged(verdicts.closed_loop_log(world, (), seed)) for world in worlds]
-    return pd.DataFrame(rows)
+KNOWN = [verdicts.MU, verdicts.KAPPA, 0.0]  # of the robots in open loop
 
 
-def of_traction(rows, name):
-    """How many intervals of `rhec.log` hold the truth."""
-    return int(rows[f"{name}_true"].between(rows[f"{name}_low"], rows[f"{name}_high"]).sum())
-
-
-@pytest.mark.parametrize(
-    "seeds, worlds",
-    [
-        pytest.param(range(800, 802), ["soft"]),
-        pytest.param(range(810, 850), [], marks=pytest.mark.nightly),
-        pytest.param(range(850, 858), [*rhec.WORLDS], marks=pytest.mark.nightly),
-    ],
-)
-def test_intervals_of_the_traction_and_the_yaw_hold_the_truth(seeds, worlds):
+def assert_hold_the_truth(rows):
     """Those of the yaw may hold it more often: a robot may slip less than the defaults expect."""
-    rows = judged(seeds, worlds)
+    rows = pd.DataFrame(rows)
     for name in ("μ", "κ", "drift"):
-        assert is_plausible(of_traction(rows, name), len(rows)), (name, len(rows))
+        held = rows[f"{name}_true"].between(rows[f"{name}_low"], rows[f"{name}_high"]).sum()
+        assert is_plausible(int(held), len(rows)), (name, len(rows))
     assert rows["way_in_95"].mean() > 0.9 and rows["smoothed_in_95"].mean() > 0.9
+
+
+def test_intervals_hold_the_truth_in_open_and_in_closed_loop(learnt):
+    closed = verdicts.closed_loop_log("soft", (), 800)
+    with four_headings():
+        steered = verdicts.judged(closed)
+    assert_hold_the_truth([verdicts.of_summary(learnt, KNOWN), steered])
+
+
+@pytest.mark.nightly
+def test_intervals_hold_the_truth_of_many_robots_in_open_loop():
+    logs = (verdicts.open_loop_log(seed, duration_s=120.0) for seed in range(810, 850))
+    assert_hold_the_truth(verdicts.judged(log, KNOWN) for log in logs)
+
+
+@pytest.mark.nightly
+def test_intervals_hold_the_truth_in_all_worlds():
+    drives = itertools.product(rhec.WORLDS, range(850, 858))
+    logs = (verdicts.closed_loop_log(world, (), seed) for world, seed in drives)
+    assert_hold_the_truth(map(verdicts.judged, logs))
 
 
 @pytest.mark.nightly

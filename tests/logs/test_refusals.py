@@ -71,7 +71,7 @@ def test_arguments_of_a_replay():
         (dict(sensors=("heading",), estimator="ekf"), "sensors was"),
         (dict(sigma_gyro=(0.0, 0.1)), "sigma_gyro"),
     ]
-    assert_refused(partial(rhec.replay, LOG), rows)
+    assert_refused(partial(rhec.replay, LOG, trust_log=True), rows)
 
 
 def test_what_cannot_be_calibrated():

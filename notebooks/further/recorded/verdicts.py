@@ -184,7 +184,11 @@ def judged(log, known=None, **options):
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        summary = rhec.log(log, trust_log=True, **options)
+        return of_summary(rhec.log(log, trust_log=True, **options), known)
+
+
+def of_summary(summary, known=None):
+    """As `judged`, of what `rhec.log` has said."""
     row = dict(is_trusted=summary.verdict.startswith("Trust it"), verdict=summary.verdict)
     row |= {name: summary.numbers[name] for name in ("inflation", "hidden", "hidden_covered")}
     for name, samples in (("way", summary.way), ("smoothed", summary.samples)):
