@@ -386,17 +386,23 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
 # Workers of its own
 
 
+def largest_error_m(run):
+    return run.columns["error_true_m"].max()
+
+
 def test_it_is_the_same_on_any_number_of_workers_and_without():
-    """Also where workers died while they were idle."""
+    """Readings of the runs, too; also where workers died while they were idle."""
     scenarios = short(20) + [
         dataclasses.replace(SHORT, estimator=by_w(0.3)),
         dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
         dataclasses.replace(SHORT, duration_s=0.2),
         BROKEN,
     ]
-    here = rhec.campaign(scenarios)
+    readings = dict(largest_m=largest_error_m)
+    here = rhec.campaign(scenarios, workers=1, readings=readings)
+    assert here["largest_m"].notna().sum() == len(scenarios) - 1
     for number in (2, 2):
-        assert_equal_rows(rhec.campaign(scenarios, workers=number), here)
+        assert_equal_rows(rhec.campaign(scenarios, workers=number, readings=readings), here)
         for process in workers_of(psutil.Process()):
             process.kill()
     # Ctrl-C is blocked for the workers alone, and only while they start.
@@ -447,9 +453,14 @@ class _Dying(concurrent.futures.Executor):
 def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(death):
     """Whether that is told as by loky, by Dask or by ipyparallel."""
     dying = _Dying(death)
-    table = rhec.campaign(short(80), workers=dying)
-    assert dying.deaths > 10
-    assert_equal_rows(table, rhec.campaign(short(80), workers=1))
+    table = rhec.campaign(short(40), workers=dying)
+    assert dying.deaths > 4
+    assert_equal_rows(table, forty_rows())
+
+
+@functools.cache
+def forty_rows():
+    return rhec.campaign(short(40), workers=1)
 
 
 def by_script(code, folder, name="-"):
@@ -518,7 +529,7 @@ def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
     with pytest.raises(
         RuntimeError, match="has C compiler False, but the caller has True, .*CC should"
     ):
-        rhec.campaign(short(), workers=3)
+        rhec.campaign(short(), workers=2)
 
 
 # Executors of the caller
@@ -526,8 +537,8 @@ def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
 
 @pytest.fixture(scope="module")
 def processes():
-    """Two processes of the standard library."""
-    with concurrent.futures.ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+    """A process of the standard library."""
+    with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
@@ -543,16 +554,6 @@ def test_any_executor_computes_the_same_rows(tmp_path, processes):
         assert threads.submit(int).result() == 0  # it is still the caller's
 
 
-def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
-    """A pool of the standard library starts no other process; what is done is kept."""
-    context = multiprocessing.get_context("spawn")
-    with (
-        concurrent.futures.ProcessPoolExecutor(1, context) as pool,
-        pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"),
-    ):
-        rhec.campaign([*short(2), LETHAL], tmp_path, pool)
-
-
 def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatch):
     """The sentence says what to do; for processors, to keep them apart."""
     remedies = {"C compiler": "CC should"} | dict.fromkeys(
@@ -564,6 +565,12 @@ def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatc
         with pytest.raises(RuntimeError, match=sentence + remedies.get(name, "install the same")):
             rhec.campaign(short(), workers=processes)
         monkeypatch.undo()
+
+
+def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path, processes):
+    """A pool of the standard library starts no other process, so this test is the last of it."""
+    with pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"):
+        rhec.campaign([*short(2), LETHAL], tmp_path, processes)
 
 
 def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):
@@ -729,15 +736,10 @@ def test_simulate_takes_one_scenario_or_several_in_their_order():
 # Readings
 
 
-def largest_error_m(run):
-    return run.columns["error_true_m"].max()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_reading_is_a_column_of_what_a_function_says_of_each_run(workers):
+def test_a_reading_is_a_column_of_what_a_function_says_of_each_run():
     """A run that failed has none, and a function that fails is the run's error."""
     scenarios = [*short(), BROKEN]
-    table = rhec.campaign(scenarios, workers=workers, readings=dict(largest_m=largest_error_m))
+    table = rhec.campaign(scenarios, readings=dict(largest_m=largest_error_m))
     runs = rhec.simulate(short())
     largest = [run.columns["error_true_m"].max() for run in runs]
     np.testing.assert_array_equal(table["largest_m"], [*largest, np.nan])
