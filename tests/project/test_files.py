@@ -22,7 +22,7 @@ WRITER = """
 import sys
 from rhec.files import replacing
 
-for _ in range(200):
+for _ in range(100):
     with replacing(sys.argv[1]) as file:
         file.write(sys.argv[2].encode() * 100_000)
         file.write(sys.argv[2].encode() * 100_000)
