@@ -7,7 +7,6 @@ import io
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -16,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import SIMPLE_WORLD, recorded_log
-from matplotlib.figure import Figure
 
 import rhec
 from rhec.cli import main
@@ -196,34 +194,6 @@ def test_what_exists_is_kept(capsys, tmp_path, make, words):
     for name in ("st_ino", "st_mode", "st_size", "st_mtime_ns"):  # it may have been read
         assert getattr(after, name) == getattr(before, name)
     assert [*tmp_path.iterdir()] == [file]
-
-
-def test_a_file_stays_until_the_one_that_replaces_it_is_whole(
-    log_file, judged, tmp_path, monkeypatch, capsys
-):
-    """As if the disk were full in the middle of it."""
-    run = ["simulate", *SHORT, "--log", "run.csv", "--plot", "run.png"]
-    judge = ["log", str(log_file), "--output", "estimates"]
-    campaign = "campaign -p duration_s 8 --seeds 1 --workers 1 --folder runs".split()
-    monkeypatch.chdir(tmp_path)
-    for words in (run, campaign):
-        assert main(words) == 0
-    shutil.copytree(judged.folder, "estimates")
-    monkeypatch.setattr(rhec, "log", functools.wraps(rhec.log)(lambda *_, **__: judged.summary))
-    whole = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-
-    def half(self, file, *_, **__):
-        file.write(b"half")
-        raise OSError("No space left on device")
-
-    writers = [(pd.DataFrame, "to_csv", run), (Figure, "savefig", run)]
-    writers += [(pd.DataFrame, "to_parquet", judge), (pd.DataFrame, "to_parquet", campaign)]
-    for owner, name, words in writers:
-        with monkeypatch.context() as failing:
-            failing.setattr(owner, name, half)
-            assert main(words if words is campaign else [*words, "--overwrite"]) == 1
-        assert re.search(r"No space left on device: '[\w/]+\.\w+'\n$", capsys.readouterr().err)
-        assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == whole
 
 
 def test_the_notebooks_of_another_checkout_are_not_opened(capsys, tmp_path, monkeypatch):
