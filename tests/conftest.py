@@ -19,7 +19,6 @@ LONGEST = (
     "simulation/test_lanes.py",
     "simulation/test_campaigns.py",
     "embedded/test_export.py",
-    "project/test_failing_disk.py",
     "logs/test_findings.py",
     "logs/test_summary.py",
     "logs/test_spoilt.py",

@@ -6,6 +6,7 @@ It measures the environment that it runs in, and writes data/results/benchmark/p
 which docs/systems.md has its table.
 """
 
+import functools
 from importlib import metadata
 
 import pandas as pd
@@ -48,6 +49,7 @@ def closure(name, extra=""):
     return found - {name}
 
 
+@functools.cache  # most packages are needed by several extras
 def megabytes(name):
     """The size [MB] of the files that an installed package has brought, without compiled bytes."""
     files = metadata.files(name) or ()

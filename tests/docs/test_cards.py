@@ -123,7 +123,7 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
 
 
 def test_text_of_the_ledger_stays_text():
-    claims = CLAIMS_CSV.assign(claim="<script>alert(1)</script>", why='"><img src=x>')
+    claims = CLAIMS_CSV.head(3).assign(claim="<script>alert(1)</script>", why='"><img src=x>')
     soup, all_cards = parsed(claims=claims)
     assert [script["src"] for script in soup.select("script")] == ["_static/claims.js"]
     assert not soup.select("img")

@@ -15,6 +15,7 @@ import pytest
 
 import rhec
 from docs.live import functions, page, wasm, window
+from docs.site import report
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
@@ -177,6 +178,13 @@ def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys
     page._main()
     assert not [*tmp_path.iterdir()]
     assert capsys.readouterr().out == "live page: left out, since ziglang is not installed\n"
+    built = []
+    monkeypatch.setattr(report, "build", lambda notebooks, live: built.append(live))
+    for can_compile in (False, True):
+        monkeypatch.setattr(wasm, "can_compile", lambda can_compile=can_compile: can_compile)
+        report._main()
+        assert ("without the live page" in capsys.readouterr().out) != can_compile
+    assert built == [False, True]
 
 
 def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):

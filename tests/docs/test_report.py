@@ -6,6 +6,7 @@ tests/browser/test_report.py looks at the report that `make report` has built.
 import hashlib
 import re
 from base64 import b64encode
+from fnmatch import fnmatch
 from pathlib import Path
 
 import nbformat
@@ -51,6 +52,17 @@ def figures(tmp_path):
     return folder
 
 
+def pages_in_no_menu(source):
+    """Pages of a site to which no list of the menu leads."""
+    files = [*source.rglob("*.md"), *source.rglob("*.ipynb")]
+    pages = {file.relative_to(source).with_suffix("").as_posix() for file in files}
+    lists = [re.findall(r"(?s)```{toctree}\n(.*?)```", file.read_text()) for file in files]
+    lines = "\n".join(sum(lists, [])).splitlines()
+    names = [re.sub(r".*<(.*)>", r"\1", line) for line in lines]
+    listed = {page for page in pages for name in names if fnmatch(page, name.removeprefix("/"))}
+    return pages - listed
+
+
 def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     source = tmp_path / "source"
     report._lay_out(source, [executed], figures, live=False)
@@ -63,6 +75,7 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
     # A picture of the paper that has another caption is numbered by its name, others are not.
     assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
+    assert pages_in_no_menu(source) == {"index"}
     cell = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."

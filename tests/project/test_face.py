@@ -148,18 +148,38 @@ def test_objects_show_what_they_are():
     ]
 
 
-@pytest.mark.parametrize(
-    "call, sentence",
-    [
-        (lambda: rhec.Fault(), "kind was not given; Fault needs it"),
-        (lambda: rhec.EKF(model=MODEL), "dt was not given; EKF needs it"),
-        (lambda: rhec.EKF(sigma=1), "EKF has no parameter 'sigma'; did you mean 'sigma_"),
-    ],
-)
-def test_an_error_names_the_parameter_its_value_and_what_it_may_be(call, sentence):
-    with pytest.raises(ValueError) as refused:
-        call()
-    assert str(refused.value).startswith(sentence)
+def a_controller():
+    """A controller of two states, of which the first is pushed, and rows of a trajectory of it."""
+    model = rhec.Model(states=("x", "y"), inputs=("u",), f=lambda x, u, p: [u, x[0]])
+    with no_compiler():
+        made = rhec.RHC(model=model, q=(1, 1), r=(1,), dt=0.1, horizon=5)
+    return made, model.simulate((0.0, 0.0), np.zeros((5, 1)), dt=0.1)
+
+
+def test_a_first_mistake_is_told_what_to_write_instead():
+    rhc, rows = a_controller()
+    rhc.feedback((0.0, 0.0), x_ref=rows.T)
+    for call, error, sentence in (
+        (lambda: rhec.Fault(), ValueError, "^kind was not given; Fault needs it"),
+        (lambda: rhec.EKF(model=MODEL), ValueError, "^dt was not given; EKF needs it"),
+        (lambda: rhec.EKF(sigma=1), ValueError, "^EKF has no parameter 'sigma'; did you mean 'sig"),
+        (lambda: rhec.Scenario("ekf"), TypeError, r"by name, as in Scenario\(estimator=…\).*'ekf'"),
+        (lambda: rhec.simulate(seed=3), TypeError, r"rhec.simulate\(rhec.Scenario\(seed=3\)\)"),
+        (lambda: rhec.WORLDS["sfot"], KeyError, "no world 'sfot'.*uncertain.*did you mean 'soft'"),
+        (
+            lambda: rhc.feedback((0.0, 0.0), x_ref=np.zeros((2, 16))),
+            ValueError,
+            r"\(2, 16\); it should have \(2, 6\).*horizon is 5.*Pa",
+        ),
+        (
+            lambda: rhc.feedback((0.0, 0.0), x_ref=rows),
+            ValueError,
+            r"had shape \(6, 2\).*x_ref.T has that",
+        ),
+    ):
+        with pytest.raises(error, match=sentence):
+            call()
+    assert "sfot" not in rhec.WORLDS and rhec.WORLDS.get("sfot") is None
 
 
 # What it loads

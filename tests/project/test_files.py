@@ -1,19 +1,25 @@
 """Every file that is written is whole or not there, whoever else writes to the same folder."""
 
+import contextlib
 import errno
+import io
 import os
+import shutil
 import stat
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
-from rhec import style
+import rhec
+from rhec import embedded, files, style
+from rhec.cli import main
 from rhec.files import replacing
+from rhec.logs.outputs import write_estimates
 from rhec.simulation.campaigns import store
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +28,7 @@ WRITER = """
 import sys
 from rhec.files import replacing
 
-for _ in range(200):
+for _ in range(100):
     with replacing(sys.argv[1]) as file:
         file.write(sys.argv[2].encode() * 100_000)
         file.write(sys.argv[2].encode() * 100_000)
@@ -42,31 +48,97 @@ def test_a_file_is_replaced_once_it_is_whole(tmp_path):
     assert stat.S_IMODE(file.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
 
 
-TABLE = pd.DataFrame(dict(a=[1.0]))
-# What is written: the library's function that fails in the middle of it, and the call.
-WRITTEN = {
-    "figure": (Figure, "savefig", lambda folder: style.save(Figure(), "one", folder=folder)),
-    "table": (pd.DataFrame, "to_csv", lambda folder: style.save_table(TABLE, "one", "One", folder)),
-    "rows": (pq, "write_table", lambda folder: store.save_rows(folder, {"a": dict(error="")})),
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+TABLE = pd.DataFrame(
+    dict.fromkeys("t_s x_hat_m y_hat_m theta_hat_rad x_meas_m y_meas_m".split(), [1.0])
+)
+CAMPAIGN = "campaign -p duration_s 2 --seeds 1 --workers 1 --folder".split()
+
+
+def by_command(*words):
+    """Raise what `rhec` was ended by, of which it says one line."""
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        code = main([*map(str, words)])
+    if code:
+        assert said.getvalue().startswith("rhec: ") and said.getvalue().count("\n") == 1
+        raise {1: FULL, 130: KeyboardInterrupt}[code]
+
+
+# What writes files, given a folder and which version of them.
+WRITERS = {
+    "figure": lambda to, n: style.save(Figure(figsize=(n, 1)), "one", folder=to),
+    "table": lambda to, n: style.save_table(n * TABLE, "one", "One", folder=to),
+    "soil": lambda to, n: rhec.Terrain.uniform(0.9, 0.8 / n).save(to / "soil.npz"),
+    "export": lambda to, n: embedded._write(to, {"a.h": 20_000 * f"{n}", "a.c": f"{n}"}),
+    "estimates": lambda to, n: write_estimates(n * TABLE, to),
+    "rows": lambda to, n: store.save_rows(to, {"a": dict(error="", mean_error_m=float(n))}),
+    "run": lambda to, n: by_command(
+        *f"simulate --duration-s 2 --seed {n} --overwrite".split(),
+        *("--log", to / "run.csv", "--plot", to / "run.png"),
+    ),
+    "campaign": lambda to, n: by_command(*CAMPAIGN, to, "-p", "r", n),
 }
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
-@pytest.mark.parametrize("what", WRITTEN)
-def test_whatever_is_written_leaves_the_old_one_if_it_fails(what, error, tmp_path, monkeypatch):
-    owner, writer, save = WRITTEN[what]
-    save(tmp_path)
-    whole = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+@contextlib.contextmanager
+def disk(fails_at=np.inf, error=None):
+    """A context with a disk whose operation of this number fails, and on a full one all later."""
+    done = []
 
-    def failing(*given, **options):
-        (file,) = [each for each in given if hasattr(each, "write")]
-        file.write(b"half")
-        raise error
+    def operate():
+        done.append(error)
+        if len(done) == fails_at or len(done) > fails_at and error is FULL:
+            raise error
 
-    monkeypatch.setattr(owner, writer, failing)
-    with pytest.raises(error):
-        save(tmp_path)
-    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == whole != {}
+    class Raw(io.FileIO):
+        def write(self, content):
+            operate()
+            return super().write(content)
+
+    def opened(file, mode):
+        operate()
+        return io.BufferedWriter(Raw(file, mode))
+
+    def replace(self, file, replaced=Path.replace):
+        operate()
+        return replaced(self, file)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files, "open", opened, raising=False)
+        patch.setattr(Path, "replace", replace)
+        yield done
+
+
+def contents(folder):
+    return {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*.*")}
+
+
+@pytest.mark.parametrize("what", WRITERS)
+def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path, virtual_machine):
+    """Whichever operation it is, on a full disk or by Ctrl-C; the next call writes all of it."""
+    write, versions = WRITERS[what], []
+    for n in (1, 2):
+        folder = tmp_path / f"{n}"
+        folder.mkdir()
+        with disk() as done:
+            write(folder, n)
+        versions.append(contents(folder))
+    old, new = versions
+    assert len(done) >= 3 and all(old.get(file) != content for file, content in new.items())
+    tried = 3 if what == "run" else 6  # a picture of a run takes long
+    for place, fails_at in enumerate({*np.linspace(1, len(done), tried).astype(int)}):
+        folder = tmp_path / f"fails at {fails_at}"
+        shutil.copytree(tmp_path / "1", folder)
+        error = (FULL, KeyboardInterrupt)[place % 2]
+        with disk(fails_at, error), pytest.raises((OSError, KeyboardInterrupt)):
+            write(folder, 2)
+        found = contents(folder)
+        assert not [file for file in found if file.name.startswith(files.UNFINISHED)]
+        for file in old | new:
+            assert found.get(file) in (old.get(file), new.get(file)), (file, fails_at)
+        write(folder, 2)
+        assert contents(folder).items() >= new.items()
 
 
 def test_an_error_names_the_file(tmp_path):

@@ -9,9 +9,10 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import rhec
+from docs.site.packages import closure
 
 pytestmark = pytest.mark.nightly
 
@@ -43,29 +44,14 @@ WHAT_IT_DOES = {
 }
 
 
-def installed_with_rhec():
-    """The distributions that a plain `pip install rhec` brings, by their normalised names."""
-    found, wanted = set(), ["rhec"]
-    while wanted:
-        name = re.sub("[-_.]+", "-", wanted.pop()).lower()
-        if name in found:
-            continue
-        found.add(name)
-        for line in metadata.requires(name) or []:
-            requirement = Requirement(line)
-            if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
-                wanted.append(requirement.name)
-    return found
-
-
 @pytest.fixture(scope="module")
 def extras():
     """Modules of this environment that a plain install does not bring."""
-    brought = installed_with_rhec()
+    brought = closure("rhec") | {"rhec"}
     return sorted(
         module
         for module, distributions in metadata.packages_distributions().items()
-        if not any(re.sub("[-_.]+", "-", name).lower() in brought for name in distributions)
+        if brought.isdisjoint(map(canonicalize_name, distributions))
     )
 
 

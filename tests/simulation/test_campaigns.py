@@ -9,7 +9,6 @@ import io
 import itertools
 import multiprocessing
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -172,9 +171,9 @@ def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypa
             return super().refresh(*given, **named)
 
     monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
-    monkeypatch.setattr(campaigns, "_SHOWN_AFTER_S", 0.3)
-    for seconds in (0.0, 0.6):
+    for seconds, shown_after_s in ((0.0, 60.0), (0.6, 0.3)):
         shown.clear()
+        monkeypatch.setattr(campaigns, "_SHOWN_AFTER_S", shown_after_s)
         slow = lambda scenario, s=seconds: time.sleep(s) or rhec.simulate(scenario)  # noqa: E731
         monkeypatch.setattr(campaigns, "simulate", slow)
         assert (rhec.campaign([SHORT], workers=1)["error"] == "").all()
@@ -386,17 +385,23 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
 # Workers of its own
 
 
+def largest_error_m(run):
+    return run.columns["error_true_m"].max()
+
+
 def test_it_is_the_same_on_any_number_of_workers_and_without():
-    """Also where workers died while they were idle."""
+    """Readings of the runs, too; also where workers died while they were idle."""
     scenarios = short(20) + [
         dataclasses.replace(SHORT, estimator=by_w(0.3)),
         dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
         dataclasses.replace(SHORT, duration_s=0.2),
         BROKEN,
     ]
-    here = rhec.campaign(scenarios)
+    readings = dict(largest_m=largest_error_m)
+    here = rhec.campaign(scenarios, workers=1, readings=readings)
+    assert here["largest_m"].notna().sum() == len(scenarios) - 1
     for number in (2, 2):
-        assert_equal_rows(rhec.campaign(scenarios, workers=number), here)
+        assert_equal_rows(rhec.campaign(scenarios, workers=number, readings=readings), here)
         for process in workers_of(psutil.Process()):
             process.kill()
     # Ctrl-C is blocked for the workers alone, and only while they start.
@@ -447,9 +452,14 @@ class _Dying(concurrent.futures.Executor):
 def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(death):
     """Whether that is told as by loky, by Dask or by ipyparallel."""
     dying = _Dying(death)
-    table = rhec.campaign(short(80), workers=dying)
-    assert dying.deaths > 10
-    assert_equal_rows(table, rhec.campaign(short(80), workers=1))
+    table = rhec.campaign(short(40), workers=dying)
+    assert dying.deaths > 4
+    assert_equal_rows(table, forty_rows())
+
+
+@functools.cache
+def forty_rows():
+    return rhec.campaign(short(40), workers=1)
 
 
 def by_script(code, folder, name="-"):
@@ -495,6 +505,16 @@ def test_a_script_without_guard_and_what_is_typed_start_workers(tmp_path, from_s
     assert (done.stdout, done.stderr) == ("True\n", "")
 
 
+def left_of_group(group):
+    """Processes of a group that still run."""
+    left = []
+    for process in psutil.process_iter(["status"]):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            if process.pid != group and os.getpgid(process.pid) == group:
+                left.append(process)
+    return [process for process in left if process.info["status"] != psutil.STATUS_ZOMBIE]
+
+
 @pytest.mark.nightly
 def test_workers_end_where_their_parent_was_killed(tmp_path):
     """Soon, not only after the minute without work."""
@@ -518,7 +538,7 @@ def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
     with pytest.raises(
         RuntimeError, match="has C compiler False, but the caller has True, .*CC should"
     ):
-        rhec.campaign(short(), workers=3)
+        rhec.campaign(short(), workers=2)
 
 
 # Executors of the caller
@@ -526,8 +546,8 @@ def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
 
 @pytest.fixture(scope="module")
 def processes():
-    """Two processes of the standard library."""
-    with concurrent.futures.ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+    """A process of the standard library."""
+    with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
@@ -543,16 +563,6 @@ def test_any_executor_computes_the_same_rows(tmp_path, processes):
         assert threads.submit(int).result() == 0  # it is still the caller's
 
 
-def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
-    """A pool of the standard library starts no other process; what is done is kept."""
-    context = multiprocessing.get_context("spawn")
-    with (
-        concurrent.futures.ProcessPoolExecutor(1, context) as pool,
-        pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"),
-    ):
-        rhec.campaign([*short(2), LETHAL], tmp_path, pool)
-
-
 def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatch):
     """The sentence says what to do; for processors, to keep them apart."""
     remedies = {"C compiler": "CC should"} | dict.fromkeys(
@@ -564,6 +574,12 @@ def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatc
         with pytest.raises(RuntimeError, match=sentence + remedies.get(name, "install the same")):
             rhec.campaign(short(), workers=processes)
         monkeypatch.undo()
+
+
+def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path, processes):
+    """A pool of the standard library starts no other process, so this test is the last of it."""
+    with pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"):
+        rhec.campaign([*short(2), LETHAL], tmp_path, processes)
 
 
 def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):
@@ -632,74 +648,15 @@ def test_without_loky_and_pyarrow_it_runs_in_this_process_and_says_what_to_insta
 # From the command line
 
 
-def command(folder, *arguments):
-    """The command for 20 runs, or with the arguments in place of these."""
-    twenty = "-p estimator ekf oracle -p q [1,1,1] [1,1,0] -p duration_s 6 --seeds 5".split()
-    begin = [sys.executable, "-m", "rhec", "campaign", "--folder", str(folder)]
-    return [*begin, *(arguments or twenty)]
-
-
-def run_command(*given):
-    ended = subprocess.run(command(*given), capture_output=True, text=True, timeout=120, cwd=ROOT)
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout
-
-
 def test_the_command_runs_every_combination_and_goes_on_from_what_is_there(tmp_path, capsys):
+    words = "campaign -p estimator ekf oracle -p q [1,1,1] [1,1,0] -p duration_s 6 --seeds 5"
     for _ in range(2):
-        assert main(command(tmp_path)[3:]) == 0
+        assert main([*words.split(), "--folder", str(tmp_path)]) == 0
         assert "20 runs, 0 failed" in capsys.readouterr().out
     table = pd.read_parquet(tmp_path / "campaign.parquet")
     assert len(table) == 20 and (table.groupby("estimator").size() == 10).all()
     scenario = rhec.Scenario(estimator="oracle", q=(1, 1, 0), duration_s=6.0, seed=4)
     assert table.iloc[-1]["mean_error_m"] == rhec.simulate(scenario).metrics["mean_error_m"]
-
-
-def left_of_group(group):
-    """Processes of a group that still run."""
-    left = []
-    for process in psutil.process_iter(["status"]):
-        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-            if process.pid != group and os.getpgid(process.pid) == group:
-                left.append(process)
-    return [process for process in left if process.info["status"] != psutil.STATUS_ZOMBIE]
-
-
-@pytest.mark.nightly
-def test_ctrl_c_in_a_terminal_ends_it_in_a_sentence_and_the_same_command_goes_on(tmp_path):
-    """The terminal sends the signal to the workers, too."""
-    drives = "-p estimator ekf -p duration_s 60 --workers 2 --seeds".split()
-    process = subprocess.Popen(
-        command(tmp_path, *drives, "3000"),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    while not list(tmp_path.glob("*/*.parquet")):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    interrupted = re.fullmatch(
-        r"rhec: interrupted after (\d+) of 3000 runs; the same call continues from there\n", err
-    )
-    assert (process.returncode, out) == (130, "") and interrupted, err
-    (rows,) = tmp_path.glob("*/")
-    assert 0 < int(interrupted[1]) == len(load_rows(rows)) < 3000
-    # loky's tracker of resources ends a moment after the campaign.
-    deadline = time.monotonic() + 10
-    while left_of_group(process.pid) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not left_of_group(process.pid)
-    kept = load_rows(rows)
-    again = run_command(tmp_path, *drives, "5")
-    drives = [rhec.Scenario(estimator="ekf", duration_s=60.0, seed=seed) for seed in range(5)]
-    keys = kept.keys() | set(map(store.scenario_key, drives))
-    assert "5 runs, 0 failed" in again and load_rows(rows).keys() == keys
-    assert sum(pq.read_metadata(file).num_rows for file in rows.glob("*.parquet")) == len(keys)
 
 
 ALL = loky.cpu_count()
@@ -729,15 +686,10 @@ def test_simulate_takes_one_scenario_or_several_in_their_order():
 # Readings
 
 
-def largest_error_m(run):
-    return run.columns["error_true_m"].max()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_reading_is_a_column_of_what_a_function_says_of_each_run(workers):
+def test_a_reading_is_a_column_of_what_a_function_says_of_each_run():
     """A run that failed has none, and a function that fails is the run's error."""
     scenarios = [*short(), BROKEN]
-    table = rhec.campaign(scenarios, workers=workers, readings=dict(largest_m=largest_error_m))
+    table = rhec.campaign(scenarios, readings=dict(largest_m=largest_error_m))
     runs = rhec.simulate(short())
     largest = [run.columns["error_true_m"].max() for run in runs]
     np.testing.assert_array_equal(table["largest_m"], [*largest, np.nan])

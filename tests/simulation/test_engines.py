@@ -97,7 +97,7 @@ def processes_with(name, value):
     return found
 
 
-@pytest.mark.parametrize("engine", ["dask", "mpi"])
+@pytest.mark.parametrize("engine", ["own", "dask", "mpi"])
 def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(engine, tmp_path):
     """A terminal sends it to the workers, too."""
     process = begun(
@@ -129,48 +129,6 @@ def test_a_machine_compiles_each_loop_once(tmp_path):
     folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
     libraries = [library for library, _ in folders]
     assert libraries and len(libraries) == len({*libraries})
-
-
-LETHAL = """
-import dataclasses, os, signal, sys
-import engines, rhec
-from distributed import Client
-
-class Lethal(rhec.Path):
-    def poses(self, s):
-        if os.getpid() != HOME:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().poses(s)
-
-HOME = os.getpid()
-if __name__ == "__main__":
-    track = rhec.Path.racetrack(30.0, 7.8)
-    base = rhec.Scenario(estimator="ekf", duration_s=6.0)
-    good = [dataclasses.replace(base, seed=seed) for seed in range(20)]
-    path = Lethal(track.segments, track.length_m, True)
-    with engines.dask_cluster() as (address, _), Client(address) as client:
-        table = rhec.campaign(
-            [*good, dataclasses.replace(base, path=path)], workers=client.get_executor(pure=False)
-        )
-    # A whole number is a float in a column with a failed run, so the digests differ.
-    expected = rhec.campaign(good)["mean_error_m"]
-    assert [*table["mean_error_m"][:20]] == [*expected], table
-    print("errors:", *table["error"][table["error"] != ""])
-"""
-
-
-def test_a_run_that_kills_every_worker_of_dask_is_a_row_with_its_error(tmp_path):
-    need("dask")
-    (tmp_path / "lethal.py").write_text(LETHAL)
-    done = subprocess.run(
-        [sys.executable, "lethal.py"],
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=550,
-        cwd=tmp_path,
-    )
-    assert "errors: BrokenProcessPool: every worker that ran it died\n" in done.stdout, done.stderr
 
 
 STUDY = """
