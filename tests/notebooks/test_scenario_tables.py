@@ -7,7 +7,7 @@ import pytest
 import rhec
 from notebooks.studies import scenario_tables, statistics, tables
 
-SHORT = dict(duration_s=20.0)
+SHORT = dict(duration_s=8.0)
 
 
 def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
