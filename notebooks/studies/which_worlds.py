@@ -897,25 +897,6 @@ def truths(table, n, rng, near=None):
     return rows[np.sort(first)[:n]]
 
 
-def repeated(worlds):
-    """Drive some worlds of the table again, by their numbers, and compare with PRIOR_DRIVES.
-
-    Returns:
-        DataFrame, one row a world: how many numbers were compared, how many differ, and by which
-        share at most.
-    """
-    stored = prior_drives()
-    design = both_rounds(stored)
-    rows = []
-    for world in worlds:
-        fields = fields_of(worlds_at(design.unit[[world]]).iloc[0])
-        now = kept(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(float)
-        then = stored.loc[[world]].to_numpy()
-        off = np.abs(now - then) / np.maximum(np.abs(then), 1e-3)
-        rows.append(dict(numbers=off.size, different=np.sum(off > 0), most=off.max()))
-    return pd.DataFrame(rows, pd.Index(worlds, name="world"))
-
-
 # Making the files
 
 
