@@ -43,16 +43,7 @@ _MOST = 10.0
 _FIRST = 0.01
 _EVALUATIONS = 40
 _UNUSABLE = 1e12  # the objective where a filter diverges
-_SCORES = dict(
-    yaw_rms_rad="yaw RMS [rad]",
-    position_rms_m="position RMS [m]",
-    nees_yaw="NEES of the yaw",
-    inside_95="yaw in its 95 %",
-    bad_unsure="bad yaw unsure",
-    good_unsure="good yaw unsure",
-    mu_difference="μ - regression",
-    kappa_difference="κ - regression",
-)
+_SCORES = ("yaw_rms_rad", "inside_95", "bad_unsure", "good_unsure")  # of `scores.score`
 
 
 def _noisy(log, seed):
@@ -259,29 +250,23 @@ def trials_with_gyro(logs, seeds):
     return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
 
 
-def table(rows):
-    """Means of `trials` over noise seeds: an Interval in each cell."""
-    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
-    return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
-
-
 def of_the_page(rows):
-    """Means of `trials` that docs/recorded_robots.md shows, without intervals in cells.
+    """Means of `trials` over noise seeds that docs/recorded_robots.md shows.
 
     Where a calibration kept the defaults, its row says nothing and is left out.
     """
-    means = table(rows)
+    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
+    means = groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
     lines = []
     for (log, estimator, tuned), cells in means.iterrows():
-        error = cells["yaw_rms_rad"]
+        error, *shares = cells
         shipped = (log, estimator, "shipped")
         is_compared = tuned == "itself" and shipped in means.index
         if is_compared and means.loc[shipped, "yaw_rms_rad"] == error:
             continue
         about = dict(log=log, estimator=estimator, tuned=tuned)
         about |= dict(yaw_rms_rad=error.mean, low=error.low, high=error.high)
-        shares = {name: cells[name].mean for name in ("inside_95", "bad_unsure", "good_unsure")}
-        lines.append(about | shares)
+        lines.append(about | {name: share.mean for name, share in zip(_SCORES[1:], shares)})
     return pd.DataFrame(lines)
 
 

@@ -287,10 +287,10 @@ def file_of(name):
     return noises.FILE if name in RIVALS else tuning.FILE
 
 
-def readable_noises(names=("rhe", "ekf")):
-    """W and V of estimators by each of their rules, for readers; see `tuning.Noise`."""
+def readable_noises():
+    """W and V of RHE and EKF by each of their rules, for readers; see `tuning.Noise`."""
     rows = []
-    for name in names:
+    for name in ("rhe", "ekf"):
         for rule, noise in tuning.NOISES[name].items():
             x, _, *others = noise.sigma_w
             x_measured, _, *others_measured = noise.sigma_v

@@ -875,12 +875,12 @@ def _statement_texts():
     return [*texts, "the four numbers together", "all statements together"]
 
 
-def statistics_with_own_w(drives, worlds, fields=FIELDS):
+def statistics_with_own_w(drives, worlds):
     """Statistics (n, k) of the drives of worlds that have a W each (`posterior_draws`)."""
     tables = {choice: statistics_of(drives, *choice) for choice in CHOICES}
     own = zip(worlds["w_rhe"], worlds["w_ekf"])
     parts = [
-        tables[choice][fields * world : fields * (world + 1)] for world, choice in enumerate(own)
+        tables[choice][FIELDS * world : FIELDS * (world + 1)] for world, choice in enumerate(own)
     ]
     return np.concatenate(parts)
 
