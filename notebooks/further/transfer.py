@@ -16,9 +16,8 @@ makes the table of docs/recorded_robots.md on all cores, from the logs in data/r
 
 import contextlib
 import itertools
-import multiprocessing
+import operator
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -27,6 +26,7 @@ import pandas as pd
 from scipy.optimize import minimize
 
 from notebooks.further.recorded import page, rivals, scores
+from notebooks.studies.parallel import parallel_map
 from notebooks.studies.statistics import over_seeds
 from rhec import paper
 from rhec.logs.calibration import calibrate
@@ -185,13 +185,6 @@ def _trials_of_rivals(log, noisy, sigmas, rest, seed):
     return rows
 
 
-def _in_parallel(tasks):
-    """What functions without arguments return, in their order."""
-    spawn = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
-    with ProcessPoolExecutor(mp_context=spawn) as pool:
-        return [each.result() for each in [pool.submit(task) for task in tasks]]
-
-
 def _calibrated(log):
     return dict(calibrate(_noisy(log, _TUNING_SEED)))
 
@@ -220,7 +213,7 @@ def trials(logs, seeds):
         for title in _SEARCHED
         for log in logs.values()
     ]
-    found = iter(_in_parallel(tunings))
+    found = iter(parallel_map(operator.call, tunings))
     numbers = dict(zip(logs, found))
     sigmas = {title: dict(zip(logs, found)) for title in _SEARCHED}
     tasks = []
@@ -229,7 +222,7 @@ def trials(logs, seeds):
         of_others = _middle([numbers[other] for other in rest])
         fields = dict(itself=numbers[name], others=of_others, shipped={})
         tasks += [partial(_tried, name, log, fields, sigmas, rest, seed) for seed in seeds]
-    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
+    return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
 
 
 def _tried_with_gyro(name, log, found, seed):
@@ -241,13 +234,13 @@ def _tried_with_gyro(name, log, found, seed):
 def trials_with_gyro(logs, seeds):
     """Rows as of `trials`, of the RHE on those logs that have a gyro."""
     logs = {name: page.aligned(log) for name, log in logs.items() if {*_SENSORS} & {*log}}
-    found = _in_parallel([partial(_calibrated, log) for log in logs.values()])
+    found = parallel_map(_calibrated, logs.values())
     tasks = [
         partial(_tried_with_gyro, name, log, numbers, seed)
         for (name, log), numbers in zip(logs.items(), found)
         for seed in seeds
     ]
-    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
+    return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
 
 
 def of_the_page(rows):
