@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 
 import rhec
 from notebooks.studies import scenario_tables, statistics, tables
