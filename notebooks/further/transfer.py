@@ -26,6 +26,7 @@ import pandas as pd
 from scipy.optimize import minimize
 
 from notebooks.further.recorded import page, rivals, scores
+from notebooks.studies.calibration import LEAST, sigma_of
 from notebooks.studies.parallel import parallel_map
 from notebooks.studies.statistics import over_seeds
 from rhec import paper
@@ -38,7 +39,6 @@ YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
 # The search of a rival's standard deviations: between these, from here, for each unknown.
-_LEAST = 1e-3
 _MOST = 10.0
 _FIRST = 0.01
 _EVALUATIONS = 40
@@ -118,10 +118,7 @@ def _search(objective, unknowns):
     def evaluate(logarithms):
         if len(tried) == _EVALUATIONS * len(unknowns):
             raise _Exhausted
-        sigma = np.full(max(map(max, unknowns)) + 1, _LEAST)
-        for places, logarithm in zip(unknowns, logarithms):
-            sigma[list(places)] = np.exp(logarithm)
-        sigma = tuple(sigma.tolist())
+        sigma = sigma_of(logarithms, unknowns)
         tried[sigma] = objective(sigma)
         return tried[sigma]
 
@@ -131,7 +128,7 @@ def _search(objective, unknowns):
             evaluate,
             np.full(len(unknowns), np.log(_FIRST)),
             method="Powell",
-            bounds=[np.log((_LEAST, _MOST))] * len(unknowns),
+            bounds=[np.log((LEAST, _MOST))] * len(unknowns),
             options=dict(xtol=0.01, ftol=1e-6),
         )
     return tuple(float(f"{value:.2g}") for value in min(tried, key=tried.get))

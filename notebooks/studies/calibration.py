@@ -231,7 +231,7 @@ def search(objective, unknowns, known=None):
     bounds = [np.log((LEAST, MOST))] * len(unknowns)
 
     def evaluate(logarithms):
-        return objective(_sigma_of(logarithms, unknowns))
+        return objective(sigma_of(logarithms, unknowns))
 
     found = differential_evolution(
         evaluate,
@@ -253,7 +253,7 @@ def search(objective, unknowns, known=None):
             best = minimize(evaluate, best, method=method, bounds=bounds, options=options).x
 
 
-def _sigma_of(logarithms, unknowns):
+def sigma_of(logarithms, unknowns):
     """The standard deviations with these logarithms in the places of the unknowns, else LEAST."""
     sigma = np.full(max(map(max, unknowns)) + 1, LEAST)
     for places, logarithm in zip(unknowns, logarithms):

@@ -70,7 +70,7 @@ def test_a_rule_sets_all_that_the_estimator_uses_of_w_and_v(estimator, bowl, mon
     """A filter does not use the noise of the yaw rate: it stays as printed."""
 
     def search(evaluate, unknowns, known):
-        evaluate(calibration._sigma_of(np.log([0.0123] * len(unknowns)), unknowns))
+        evaluate(calibration.sigma_of(np.log([0.0123] * len(unknowns)), unknowns))
 
     monkeypatch.setattr(calibration, "search", search)
     row = calibration.calibrate(estimator, "prediction")

@@ -257,15 +257,6 @@ def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd)
     assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "2"
 
 
-@pytest.mark.nightly
-def test_a_kernel_that_dies_in_a_cell_does_not_start_again(tmp_path, monkeypatch, capsys):
-    cell = "import os; open('begun', 'a').write('.'); os._exit(1)"
-    with pytest.raises(SystemExit):
-        run_toy(monkeypatch, toy(tmp_path, cell))
-    assert capsys.readouterr().err.endswith("toy: Kernel died\n")
-    assert (tmp_path / "begun").read_text() == "."
-
-
 def test_a_full_disk_in_a_cell_is_a_sentence_that_names_the_file(tmp_path, monkeypatch, capsys):
     writing = "with replacing('fig.png') as file: raise OSError(28, 'No space left on device')"
     cell = f"from rhec.files import replacing\n{writing}"
