@@ -13,6 +13,7 @@ import pandas as pd
 from benchmark import (
     acados_peer,
     campaigns,
+    condensed,
     first,
     floor,
     instructions,
@@ -24,6 +25,7 @@ from benchmark import (
 from benchmark import step as steps
 from benchmark.tables import FOLDER, read
 from notebooks.studies import timing
+from rhec.simulation.scenario import Scenario
 
 HORIZONS = 15, 40, 100, 200
 STATES = 3, 6, 12, 30
@@ -81,6 +83,12 @@ def counts():
         loop = problems.robot(problems.PAPERS_SIZE[0], instructions.BEFORE + instructions.COUNTED)
         acados = steps.acados_of(loop.case, problems.record(loop))
         save(instructions.measure(acados), "instructions")
+
+
+@part
+def qp_solvers():
+    """The phases of a step from Python, by the solver of the RHC's QP."""
+    save(condensed.measure(Scenario(process_noise="prediction")), "qp_solvers")
 
 
 @part

@@ -45,7 +45,7 @@ def compiled_names():
 
 def drive():
     """A minute of the closed loop, then its samples again from Python, phase by phase."""
-    timing.phases(SCENARIO, timing.CONTROLLERS["structured"])
+    timing.phases(SCENARIO)
 
 
 def count(library):

@@ -1,7 +1,7 @@
 """The paper's controller with its QP condensed, which libraries solve: an oracle of the QP."""
 
 import rhec
-from notebooks.studies.condensed import Condensed
+from benchmark.condensed import Condensed
 from rhec.core._casadi.packing import pack_array
 from rhec.core.controller import rhc
 from rhec.simulation.closed_loop import first_guess

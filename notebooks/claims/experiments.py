@@ -367,7 +367,7 @@ def steps_in_time(duration_s=60.0):
         feedback_us, the part of it after the measurement.
     """
     scenario = Scenario(process_noise="prediction", duration_s=duration_s)
-    taken = timing.phases(scenario, timing.CONTROLLERS["daqp"])
+    taken = timing.phases(scenario)
     whole_us = taken.sum(axis=1)
     is_feedback = [phase == "feedback" for _, phase in timing.PHASES]
     return pd.DataFrame(

@@ -284,9 +284,9 @@ def _condition(entry, expressions, process_noise, instead):
     return Condition(judge, tables)
 
 
-def _process_noises(entry, default=PROCESS_NOISES):
+def _process_noises(entry):
     """The process noises that an entry is judged under; "all" are those of every rule of W."""
-    noises = entry.get("process_noises", default)
+    noises = entry.get("process_noises", PROCESS_NOISES)
     return tuple(CONDITIONS) if noises == "all" else tuple(noises)
 
 

@@ -193,7 +193,7 @@ def study(base, seeds, estimators, cases=CASES):
     return pd.DataFrame(rows)
 
 
-def fault_table(table, aim_s=_AIM_S):
+def fault_table(table):
     """All cases in numbers: means over seeds, and whether every seed recovered in time.
 
     The errors [m] during and after the fault, and the recovery time [s] of the seeds that
@@ -207,7 +207,7 @@ def fault_table(table, aim_s=_AIM_S):
             over = over_seeds(np.mean, runs[name], least=0.0)
             row |= {name: over.mean, f"{name}_low": over.low, f"{name}_high": over.high}
             row[f"{name}_largest"] = runs[name].max()
-        aim = aim_s.get(family, aim_s[""])
+        aim = _AIM_S.get(family, _AIM_S[""])
         row |= dict(back=runs["recovery_s"].count(), in_bounds=runs["in_bounds"].sum(), aim_s=aim)
         rows.append(row | dict(verdict=always(runs["recovery_s"] <= aim).verdict))
     return pd.DataFrame(rows)

@@ -8,8 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from notebooks.further.recorded import scores
-from notebooks.plots.parts import DOTS, legend_above, log_axis, note, time_axis
-from notebooks.studies.tables import interval_text
+from notebooks.plots.parts import legend_above, time_axis
 from rhec.style import COLOURS, DOUBLE_IN, ORANGE, PURPLE, SKY, styled
 
 _COLOURS = {name: COLOURS[name] for name in ("RHE", "EKF")}
@@ -105,31 +104,4 @@ def replay_traction(replays, first):
         axes.set(ylim=(least - 0.02, 1.05), ylabel=rf"$\{name}$ [-]{cut}")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     _time_axis(panels, samples)
-    return figure
-
-
-@styled
-def replay_trials(trials, table, title):
-    """Draw the RMS error of the yaw of each estimator: a dot per noise seed, mean, 95 % interval.
-
-    The table is the `replay_table` of the trials, both of `notebooks.further.recorded_logs`.
-    """
-    figure, axes = plt.subplots(figsize=(DOUBLE_IN, 0.7 + 0.28 * len(trials)))
-    means = table[table["quantity"] == "RMS error of yaw [rad]"].set_index("estimator")
-    for place, (name, rows) in enumerate(trials.items()):
-        look = dict(color=_COLOURS.get(name))
-        mean = means.loc[name]
-        dots = place - np.linspace(0.12, 0.38, len(rows))
-        axes.plot(rows["yaw_rms_rad"], dots, **DOTS, **look, markersize=2.5, alpha=0.6)
-        axes.plot([mean["low"], mean["high"]], [place, place], linewidth=3, alpha=0.6, **look)
-        axes.plot(mean["mean"], place, "D", markersize=3.5, **look)
-        text = interval_text(mean["mean"], mean["low"], mean["high"])
-        note(axes, text, (1, place), (4, 0), xycoords=("axes fraction", "data"))
-    axes.set_yticks(range(len(trials)), list(trials))
-    axes.set_ylim(len(trials) - 0.7, -0.6)
-    log_axis(axes.xaxis)
-    axes.grid(axis="y", visible=False)
-    title = title.replace("$", r"\$")
-    axes.set_title(f"{title}: {mean['n']} noise seeds (dots), mean and 95 % interval")
-    axes.set_xlabel("RMS yaw error [rad], logarithmic")
     return figure

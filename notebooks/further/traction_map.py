@@ -182,21 +182,20 @@ def worth_map(errors):
 def counts(table):
     """On how many soils estimating pays, for each constant that is told.
 
-    It pays where the whole 95 % interval of the ratio is below 0.9, and costs where it is above 1.
-    Soils on which the robot is lost with estimated traction, too, are left out.
+    It pays where the whole 95 % interval of the ratio is below 0.9. Soils on which the robot is
+    lost with estimated traction, too, are left out.
 
     Args:
         table: Of `worth_map`.
 
     Returns:
-        DataFrame with columns told, pays, costs, soils, and ratio, the geometric mean of the ratios
+        DataFrame with columns told, pays, soils, and ratio, the geometric mean of the ratios
         over the soils.
     """
     rows = [
         dict(
             told=told,
             pays=(of_rival["high"] < _PAYS).sum(),
-            costs=(of_rival["low"] > 1).sum(),
             soils=len(of_rival),
             ratio=np.exp(np.log(of_rival["mean"]).mean()),
         )

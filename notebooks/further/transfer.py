@@ -16,9 +16,8 @@ makes the table of docs/recorded_robots.md on all cores, from the logs in data/r
 
 import contextlib
 import itertools
-import multiprocessing
+import operator
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -27,6 +26,8 @@ import pandas as pd
 from scipy.optimize import minimize
 
 from notebooks.further.recorded import page, rivals, scores
+from notebooks.studies.calibration import LEAST, sigma_of
+from notebooks.studies.parallel import parallel_map
 from notebooks.studies.statistics import over_seeds
 from rhec import paper
 from rhec.logs.calibration import calibrate
@@ -38,21 +39,11 @@ YAW_ERROR_RAD = 0.3  # of the first yaw
 _TUNING_SEED = 1000  # no trial has it
 _SENSORS = [*RECORDED_SENSORS.values()]  # no rival uses a gyro or a heading
 # The search of a rival's standard deviations: between these, from here, for each unknown.
-_LEAST = 1e-3
 _MOST = 10.0
 _FIRST = 0.01
 _EVALUATIONS = 40
 _UNUSABLE = 1e12  # the objective where a filter diverges
-_SCORES = dict(
-    yaw_rms_rad="yaw RMS [rad]",
-    position_rms_m="position RMS [m]",
-    nees_yaw="NEES of the yaw",
-    inside_95="yaw in its 95 %",
-    bad_unsure="bad yaw unsure",
-    good_unsure="good yaw unsure",
-    mu_difference="μ - regression",
-    kappa_difference="κ - regression",
-)
+_SCORES = ("yaw_rms_rad", "inside_95", "bad_unsure", "good_unsure")  # of `scores.score`
 
 
 def _noisy(log, seed):
@@ -127,10 +118,7 @@ def _search(objective, unknowns):
     def evaluate(logarithms):
         if len(tried) == _EVALUATIONS * len(unknowns):
             raise _Exhausted
-        sigma = np.full(max(map(max, unknowns)) + 1, _LEAST)
-        for places, logarithm in zip(unknowns, logarithms):
-            sigma[list(places)] = np.exp(logarithm)
-        sigma = tuple(sigma.tolist())
+        sigma = sigma_of(logarithms, unknowns)
         tried[sigma] = objective(sigma)
         return tried[sigma]
 
@@ -140,7 +128,7 @@ def _search(objective, unknowns):
             evaluate,
             np.full(len(unknowns), np.log(_FIRST)),
             method="Powell",
-            bounds=[np.log((_LEAST, _MOST))] * len(unknowns),
+            bounds=[np.log((LEAST, _MOST))] * len(unknowns),
             options=dict(xtol=0.01, ftol=1e-6),
         )
     return tuple(float(f"{value:.2g}") for value in min(tried, key=tried.get))
@@ -194,13 +182,6 @@ def _trials_of_rivals(log, noisy, sigmas, rest, seed):
     return rows
 
 
-def _in_parallel(tasks):
-    """What functions without arguments return, in their order."""
-    spawn = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
-    with ProcessPoolExecutor(mp_context=spawn) as pool:
-        return [each.result() for each in [pool.submit(task) for task in tasks]]
-
-
 def _calibrated(log):
     return dict(calibrate(_noisy(log, _TUNING_SEED)))
 
@@ -229,7 +210,7 @@ def trials(logs, seeds):
         for title in _SEARCHED
         for log in logs.values()
     ]
-    found = iter(_in_parallel(tunings))
+    found = iter(parallel_map(operator.call, tunings))
     numbers = dict(zip(logs, found))
     sigmas = {title: dict(zip(logs, found)) for title in _SEARCHED}
     tasks = []
@@ -238,7 +219,7 @@ def trials(logs, seeds):
         of_others = _middle([numbers[other] for other in rest])
         fields = dict(itself=numbers[name], others=of_others, shipped={})
         tasks += [partial(_tried, name, log, fields, sigmas, rest, seed) for seed in seeds]
-    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
+    return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
 
 
 def _tried_with_gyro(name, log, found, seed):
@@ -250,38 +231,32 @@ def _tried_with_gyro(name, log, found, seed):
 def trials_with_gyro(logs, seeds):
     """Rows as of `trials`, of the RHE on those logs that have a gyro."""
     logs = {name: page.aligned(log) for name, log in logs.items() if {*_SENSORS} & {*log}}
-    found = _in_parallel([partial(_calibrated, log) for log in logs.values()])
+    found = parallel_map(_calibrated, logs.values())
     tasks = [
         partial(_tried_with_gyro, name, log, numbers, seed)
         for (name, log), numbers in zip(logs.items(), found)
         for seed in seeds
     ]
-    return pd.DataFrame(itertools.chain.from_iterable(_in_parallel(tasks)))
-
-
-def table(rows):
-    """Means of `trials` over noise seeds: an Interval in each cell."""
-    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
-    return groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
+    return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
 
 
 def of_the_page(rows):
-    """Means of `trials` that docs/recorded_robots.md shows, without intervals in cells.
+    """Means of `trials` over noise seeds that docs/recorded_robots.md shows.
 
     Where a calibration kept the defaults, its row says nothing and is left out.
     """
-    means = table(rows)
+    groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
+    means = groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
     lines = []
     for (log, estimator, tuned), cells in means.iterrows():
-        error = cells["yaw_rms_rad"]
+        error, *shares = cells
         shipped = (log, estimator, "shipped")
         is_compared = tuned == "itself" and shipped in means.index
         if is_compared and means.loc[shipped, "yaw_rms_rad"] == error:
             continue
         about = dict(log=log, estimator=estimator, tuned=tuned)
         about |= dict(yaw_rms_rad=error.mean, low=error.low, high=error.high)
-        shares = {name: cells[name].mean for name in ("inside_95", "bad_unsure", "good_unsure")}
-        lines.append(about | shares)
+        lines.append(about | {name: share.mean for name, share in zip(_SCORES[1:], shares)})
     return pd.DataFrame(lines)
 
 

@@ -66,20 +66,6 @@ def commands_and_bounds(time_s, commands, bounds):
     return figure
 
 
-@styled
-def solver_tolerances(time_s, tolerances, iterated):
-    """Draw KKT tolerances {name of a solver: array} over time, and over iterations of a problem."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2), width_ratios=(2, 1))
-    for name, colour in zip(tolerances, (BLUE, VERMILLION)):
-        left.semilogy(time_s, tolerances[name], color=colour, label=name, linewidth=0.7)
-        steps = range(1, len(iterated[name]) + 1)
-        right.semilogy(steps, iterated[name], ".-", color=colour, label=name)
-    left.set(xlabel="time [s]", ylabel="KKT tolerance")
-    right.set_xlabel("iteration, last sample")
-    right.legend()
-    return figure
-
-
 def positions_of(log, path):
     """{name: (n, 2) positions [m]} of a drive: measured, reference, truth and RHE."""
     _, s_m = path.project(log["x"][:, :2])

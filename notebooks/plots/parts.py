@@ -11,12 +11,11 @@ from rhec.style import BLACK, COLOURS, DOUBLE_IN, SMALL_PT
 BOUND = dict(color=BLACK, linewidth=0.6, linestyle="--")
 TOLERANCE = dict(color=COLOURS["tolerance"], alpha=0.35, linewidth=0, zorder=0)
 _OF_WORLDS = {field for fields in rhec.WORLDS.values() for field in fields}  # what they differ in
-DOTS = dict(linestyle="none", marker="o", markeredgewidth=0)  # one dot per seed
 
 
-def panels_beside(n, height_in, width_in=DOUBLE_IN):
+def panels_beside(n, height_in):
     """A figure with n panels side by side and a common y axis."""
-    size = (width_in, height_in)
+    size = (DOUBLE_IN, height_in)
     figure, panels = plt.subplots(1, n, figsize=size, sharey=True, squeeze=False)
     return figure, panels[0]
 
@@ -77,11 +76,11 @@ def time_axis(panels, t_s, where, shaded):
     panels[-1].set(xlabel=f"time [s]  (shaded: {shaded})", xlim=(t_s.min(), t_s.max()))
 
 
-def legend_above(axes, handles_of=None, **look):
-    """Add a legend in one line above the axes, at the right, for these or for other axes."""
-    entries = (handles_of or axes).get_legend_handles_labels()
+def legend_above(axes):
+    """Add a legend in one line above the axes, at the right."""
+    entries = axes.get_legend_handles_labels()
     place = dict(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
-    axes.legend(*entries, **place | dict(ncols=len(entries[0])) | look)
+    axes.legend(*entries, **place, ncols=len(entries[0]))
 
 
 def legend_outside(figure, axes, place, ncols):

@@ -150,17 +150,14 @@ def _beside_a_row(axes, row):
 
 
 @styled
-def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
+def robot_in_row():
     """Draw Figure 1: the robot between two rows, with the tolerance of 0.12 m on either side.
 
     The tolerance leaves out half a stem and half the GNSS accuracy. Widths are to scale.
-
-    Args:
-        row_spacing_m: Distance between the centre lines of the rows [m].
     """
-    row = row_spacing_m / 2
+    row = paper.ROW_SPACING_M / 2
     edge = _WIDTH / 2
-    effective = row_spacing_m - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M
+    effective = paper.ROW_SPACING_M - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M
     tolerance = (effective - _WIDTH) / 2
     figure, axes = _canvas((-0.62, 0.62), (-0.69, 0.74))
 
@@ -175,12 +172,12 @@ def robot_in_row(row_spacing_m=paper.ROW_SPACING_M):
     for y, half, text in [
         (-0.08, edge, f"robot {_WIDTH:.2f} m"),
         (-0.16, effective / 2, f"effective row spacing {effective:.2f} m"),
-        (-0.24, row, f"row spacing {row_spacing_m:.2f} m, centre to centre"),
+        (-0.24, row, f"row spacing {paper.ROW_SPACING_M:.2f} m, centre to centre"),
     ]:
         axes.vlines([-half, half], y - 0.01, -0.02, color=GREY, linewidth=0.4)
         _dimension(axes, (-half, y), (half, y), text)
     _beside_a_row(axes, row)
-    terms = (row_spacing_m, paper.STEM_WIDTH_M, paper.GNSS_ACCURACY_M, _WIDTH)
+    terms = (paper.ROW_SPACING_M, paper.STEM_WIDTH_M, paper.GNSS_ACCURACY_M, _WIDTH)
     taken = "-".join(f"{term:.2f}" for term in terms)
     formula = rf"$({taken})\,/\,2={tolerance:.2f}$ m on either side"
     axes.text(0, -0.64, formula, ha="center", va="center")

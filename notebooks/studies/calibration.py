@@ -231,7 +231,7 @@ def search(objective, unknowns, known=None):
     bounds = [np.log((LEAST, MOST))] * len(unknowns)
 
     def evaluate(logarithms):
-        return objective(_sigma_of(logarithms, unknowns))
+        return objective(sigma_of(logarithms, unknowns))
 
     found = differential_evolution(
         evaluate,
@@ -253,7 +253,7 @@ def search(objective, unknowns, known=None):
             best = minimize(evaluate, best, method=method, bounds=bounds, options=options).x
 
 
-def _sigma_of(logarithms, unknowns):
+def sigma_of(logarithms, unknowns):
     """The standard deviations with these logarithms in the places of the unknowns, else LEAST."""
     sigma = np.full(max(map(max, unknowns)) + 1, LEAST)
     for places, logarithm in zip(unknowns, logarithms):
@@ -287,10 +287,10 @@ def file_of(name):
     return noises.FILE if name in RIVALS else tuning.FILE
 
 
-def readable_noises(names=("rhe", "ekf")):
-    """W and V of estimators by each of their rules, for readers; see `tuning.Noise`."""
+def readable_noises():
+    """W and V of RHE and EKF by each of their rules, for readers; see `tuning.Noise`."""
     rows = []
-    for name in names:
+    for name in ("rhe", "ekf"):
         for rule, noise in tuning.NOISES[name].items():
             x, _, *others = noise.sigma_w
             x_measured, _, *others_measured = noise.sigma_v

@@ -54,7 +54,7 @@ _SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
 # Analysis
 
 
-def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=0.45):
+def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2]):
     """The steady EKF of (y, θ) on a straight, for each process noise of the position.
 
     With A = [1, T v; 0, 1] at the pace v = μν, H = [1, 0], W = diag(σ_x², σ_θ²) and V = σ_GNSS²,
@@ -65,12 +65,11 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2], pace_mps=
     Args:
         sigma_x_m: Standard deviations of the position in W [m].
         sigma_theta_rad: That of the yaw [rad].
-        pace_mps: Speed over ground μν [m/s].
 
     Returns:
         DataFrame with columns sigma_x_m, gain_position [-], gain_yaw_radpm, sigma_yaw_rad, time_s.
     """
-    A = np.array([[1, paper.DT_S * pace_mps], [0, 1]])
+    A = np.array([[1, paper.DT_S * _MU * paper.SPEED_MPS], [0, 1]])
     H = np.array([[1.0, 0.0]])
     V = np.array([[paper.SIGMA_V[0] ** 2]])
     rows = []
@@ -118,13 +117,13 @@ def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
     return np.array(deviations)
 
 
-def sigma_kappa_table(sigma_kappa, process_noise="printed"):
+def sigma_kappa_table(sigma_kappa):
     """`rhe_sigma_kappa` on a straight and in the headland's curve: a DataFrame with columns
     sigma_kappa, straight, curve.
     """
     omega_radps = _MU * paper.SPEED_MPS / paper.HEADLAND_RADIUS_M / _KAPPA
     columns = {
-        name: rhe_sigma_kappa(sigma_kappa, omega, process_noise)
+        name: rhe_sigma_kappa(sigma_kappa, omega, "printed")
         for name, omega in (("straight", 0.0), ("curve", omega_radps))
     }
     return pd.DataFrame(dict(sigma_kappa=sigma_kappa) | columns)

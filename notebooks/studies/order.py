@@ -65,13 +65,11 @@ VARIATIONS = {  # {what is varied: fields of Scenario}
 }
 
 
-def one_variation_at_a_time(fields, variations=None, rules=RULES, folder=None):
+def one_variation_at_a_time(fields, folder=None):
     """Drive both estimators under each variation and rule, and compare their mean errors.
 
     Args:
         fields: How many fields, from seed 0 on.
-        variations: {what is varied: fields of Scenario}; VARIATIONS by default.
-        rules: That pick W.
         folder: Where the campaign keeps its rows.
 
     Returns:
@@ -79,19 +77,18 @@ def one_variation_at_a_time(fields, variations=None, rules=RULES, folder=None):
         of RHE − EKF with its 95 % interval [m]; n; share, of the fields in which the RHE has less;
         and the verdict on "the RHE has less".
     """
-    variations = VARIATIONS if variations is None else variations
     scenarios = {
         (name, estimator, rule): [
             Scenario(estimator=estimator, process_noise=rule, seed=seed, **_fields(of, estimator))
             for seed in range(fields)
         ]
         for (name, of), estimator, rule in itertools.product(
-            variations.items(), ("rhe", "ekf"), rules
+            VARIATIONS.items(), ("rhe", "ekf"), RULES
         )
     }
     drives = run_sets.drive(scenarios, folder)
     rows = []
-    for name, rule in itertools.product(variations, rules):
+    for name, rule in itertools.product(VARIATIONS, RULES):
         both = [drives[name, estimator, rule] for estimator in ("rhe", "ekf")]
         rows.append(dict(variation=name, process_noise=rule) | _compared(*both))
     return pd.DataFrame(rows)

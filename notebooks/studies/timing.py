@@ -8,7 +8,6 @@ belongs to the RHE's preparation.
 import os
 import platform
 import time
-from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -16,28 +15,21 @@ import numpy as np
 import pandas as pd
 
 import rhec
-from notebooks.studies import condensed
 from rhec import paper
 from rhec.simulation.columns import MEASUREMENTS, POSE
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.references import PathTracker
 
-# The RHC by the solver of its QP: condensed, as in the paper, and by stages.
-CONTROLLERS = {
-    "qpoases": partial(rhec.RHC, qp=condensed.Condensed("qpoases")),
-    "daqp": partial(rhec.RHC, qp=condensed.Condensed("daqp")),
-    "structured": rhec.RHC,
-}
 PHASES = tuple(key for key in paper.TABLE_1_MS if key[1] != "overall")  # (problem, phase), in order
 
 
-def phases(scenario, controller):
+def phases(scenario, controller=rhec.RHC):
     """Times of the four phases at every sample of a scenario's run.
 
     Args:
         scenario: The Scenario.
-        controller: One of CONTROLLERS: a function that makes the RHC of its weights.
+        controller: A function that makes the RHC of its weights.
 
     Returns:
         Times [µs], (samples, 4), in the order of PHASES.
@@ -85,17 +77,11 @@ def table(taken):
     return pd.DataFrame(rows, columns=columns + papers_columns)
 
 
-def by_solver(scenario):
-    """The `table` of a scenario's run for each QP solver of the RHC, with the machine's name."""
-    tables = {qp: table(phases(scenario, make)) for qp, make in CONTROLLERS.items()}
-    return pd.concat(tables, names=["qp"]).reset_index(level=0).assign(machine=machine())
-
-
 def as_in_the_paper(times):
     """Table 1 as the paper prints it, in ms: minimum, average, maximum here beside the paper's.
 
     Args:
-        times: Of `table`, of one QP solver.
+        times: Of `table`.
 
     Returns:
         DataFrame with an index of problem and phase, and columns of (whose, statistic).
@@ -111,24 +97,13 @@ def as_in_the_paper(times):
 
 
 def feedback_over_preparation(times):
-    """Medians [µs] of both phases, and their ratio, by QP solver and problem.
+    """Medians [µs] of both phases, and their ratio, by problem.
 
     Args:
-        times: Of `by_solver`.
+        times: Of `table`.
     """
-    single = times[times["phase"] != "overall"]
-    medians = single.pivot(index=["qp", "problem"], columns="phase", values="median_us")
+    medians = times.pivot(index="problem", columns="phase", values="median_us")
     return medians.assign(ratio=medians["feedback"] / medians["preparation"])
-
-
-def whole_step(times):
-    """Times [µs] of RHE and RHC together, by QP solver.
-
-    Args:
-        times: Of `by_solver`.
-    """
-    columns = ["average_us", "median_us", "maximum_us", "paper_average_us"]
-    return times[times["phase"] == "overall"].groupby("qp")[columns].sum()
 
 
 def machine():

@@ -875,12 +875,12 @@ def _statement_texts():
     return [*texts, "the four numbers together", "all statements together"]
 
 
-def statistics_with_own_w(drives, worlds, fields=FIELDS):
+def statistics_with_own_w(drives, worlds):
     """Statistics (n, k) of the drives of worlds that have a W each (`posterior_draws`)."""
     tables = {choice: statistics_of(drives, *choice) for choice in CHOICES}
     own = zip(worlds["w_rhe"], worlds["w_ekf"])
     parts = [
-        tables[choice][fields * world : fields * (world + 1)] for world, choice in enumerate(own)
+        tables[choice][FIELDS * world : FIELDS * (world + 1)] for world, choice in enumerate(own)
     ]
     return np.concatenate(parts)
 
@@ -895,25 +895,6 @@ def truths(table, n, rng, near=None):
     rows = rows[np.argsort(rng.exponential(size=len(rows)) / table.prior[rows])]
     _, first = np.unique(table.world[rows], return_index=True)
     return rows[np.sort(first)[:n]]
-
-
-def repeated(worlds):
-    """Drive some worlds of the table again, by their numbers, and compare with PRIOR_DRIVES.
-
-    Returns:
-        DataFrame, one row a world: how many numbers were compared, how many differ, and by which
-        share at most.
-    """
-    stored = prior_drives()
-    design = both_rounds(stored)
-    rows = []
-    for world in worlds:
-        fields = fields_of(worlds_at(design.unit[[world]]).iloc[0])
-        now = kept(drive([fields], FIRST_SEED + FIELDS * world)).to_numpy(float)
-        then = stored.loc[[world]].to_numpy()
-        off = np.abs(now - then) / np.maximum(np.abs(then), 1e-3)
-        rows.append(dict(numbers=off.size, different=np.sum(off > 0), most=off.max()))
-    return pd.DataFrame(rows, pd.Index(worlds, name="world"))
 
 
 # Making the files

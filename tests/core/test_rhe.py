@@ -11,7 +11,7 @@ from oracles import N, drive, flat, mhe_by_ipopt, mhe_instance
 from robots import CRAWLER
 
 import rhec
-from notebooks.studies.condensed import box_qp_by_library
+from benchmark.condensed import box_qp_by_library
 from rhec import paper
 from rhec.core.estimator import rhe as core_rhe
 from rhec.core.solver.box_qp import box_qp

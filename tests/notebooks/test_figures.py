@@ -57,7 +57,7 @@ def runs(virtual_machine):
             name: rhec.simulate(scenario(process_noise=process_noise, estimator=name.lower()))
             for name in ("RHE", "EKF")
         }
-        for process_noise in ("printed", "prediction", "tracking")
+        for process_noise in ("printed", "prediction")
     }
 
 
@@ -89,7 +89,7 @@ def sweep_b(virtual_machine):
     return rhec.campaign(
         [
             scenario(process_noise=process_noise, estimator=estimator, seed=seed)
-            for process_noise in ("printed", "prediction", "tracking")
+            for process_noise in ("printed", "prediction")
             for estimator in ("rhe", "ekf")
             for seed in SEEDS
         ]
@@ -180,7 +180,7 @@ def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
     assert f"means over {len(SEEDS)}" in many
     diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
     # All drives of the paper's RHE are without a violation, and the one of its EKF is not.
-    assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 0, 0, 100, 100, 100]
+    assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 0, 100, 100]
     assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
 
 
@@ -331,7 +331,7 @@ def test_at_most_none_includes_none_and_below_zero_does_not_include_zero(sweep_b
     assert (verdicts["RHE"] == "holds").all()
     once = scenario_b_table(sweep_b.assign(violations=1.0 * (np.arange(len(sweep_b)) == 0)))
     of_rhe = once[once["claim"] == "at most 0"].set_index("process_noise")["verdict"]
-    assert of_rhe.to_dict() == dict(printed="does not hold", prediction="holds", tracking="holds")
+    assert of_rhe.to_dict() == dict(printed="does not hold", prediction="holds")
     assert set(verdicts["RHE - EKF"]) == {
         "does not hold",
         "its rival is lost",

@@ -104,7 +104,7 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
     )  # G1 is the EKF's alone
 
 
-def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
+def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine, monkeypatch):
     asked = []
     simulate = interpretations.simulate
     monkeypatch.setattr(
@@ -120,6 +120,17 @@ def test_a_sweep_changes_one_number_of_w(virtual_machine, monkeypatch):
         (*tuning.NOISES["rhe"]["printed"].sigma_w[:5], value) for value in (0.25, 0.01)
     ]
     assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)
+    straights = pd.DataFrame(dict(sigma_kappa=[0.25, 0.01], straight=1.0, curve=0.1))
+    figure = plots.rhe_kappa(straights, sweep, runs, printed=0.25, prediction=0.01)
+    *estimates, truth = (line.get_xydata() for line in figure.axes[2].lines)
+    for drawn, run in zip(estimates, runs.values(), strict=True):
+        np.testing.assert_array_equal(drawn, run.log[["t_s", "kappa_hat"]])
+    np.testing.assert_array_equal(truth, run.log[["t_s", "kappa"]])
+    analysis = interpretations.ekf_on_a_straight([0.01, 1.0])
+    figure = plots.ekf_yaw(analysis, sweep, runs, printed=0.25, prediction=0.01)
+    for line, run in zip(figure.axes[2].lines, reversed(runs.values()), strict=True):
+        error_rad = run.log["theta_hat_rad"] - run.log["theta_rad"]
+        np.testing.assert_allclose(line.get_ydata(), error_rad, atol=1e-12)
 
 
 def test_each_reading_has_a_line_of_its_own_name_and_colour():

@@ -1,11 +1,13 @@
-"""What studies share: estimators that a replay of a log compares, and runs on many workers."""
+"""What studies share: estimators that a replay of a log compares, runs on many workers, C."""
 
+import subprocess
 from concurrent.futures import BrokenExecutor, Executor, Future
 
 import pytest
 
 import rhec
 from notebooks.further import recorded_logs
+from notebooks.studies import toolchain
 from notebooks.studies.parallel import map_runs
 from rhec.simulation.campaigns import campaign, workers
 
@@ -43,3 +45,22 @@ def test_a_scenario_that_kills_its_workers_is_named(monkeypatch):
 
 def _error(run):
     return run.metrics["mean_error_m"]
+
+
+@pytest.mark.skipif(toolchain.this_machine() is None, reason="there is no C compiler")
+def test_a_stack_is_as_deep_as_the_largest_sum_over_a_chain_of_calls(tmp_path):
+    """One calls two and three, two calls four; libm has no node."""
+    machine = toolchain.this_machine()
+    (tmp_path / "code.c").write_text("const char constant[40] = {1};")
+    subprocess.run([machine.compiler, "-c", "code.c"], cwd=tmp_path, check=True)
+    graph = [
+        f'node: {{ title: "{name}" label: "{name}\\n{size} bytes (static)" }}'
+        for name, size in dict(one=16, two=32, three=100, four=80).items()
+    ]
+    graph += [
+        f'edge: {{ sourcename: "{caller}" targetname: "{called}" }}'
+        for caller, called in (("one", "two"), ("one", "three"), ("two", "four"), ("four", "sin"))
+    ]
+    (tmp_path / "code.ci").write_text("\n".join(graph))
+    found = toolchain.sizes(machine, [tmp_path / "code.o"])
+    assert found["stack_bytes"] == 16 + 32 + 80 and 40 <= found["code_bytes"] < 400

@@ -160,7 +160,7 @@ def test_posterior_worlds_can_be_driven_and_lie_in_the_prior():
     worlds = which_worlds.posterior_worlds()
     assert len(worlds) == which_worlds.DRAWS
     for world in worlds:
-        scenario = which_worlds.scenario(world, which_worlds.VARIANTS["ekf_free"], 0)
+        scenario = which_worlds.scenario(world, which_worlds.VARIANTS["rhe_free"], 0)
         turn = scenario.mu_mean * scenario.speed_mps / scenario.headland_radius_m
         assert turn < scenario.kappa_mean * scenario.omega_max_radps
     table = pd.DataFrame(worlds)

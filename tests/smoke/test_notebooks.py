@@ -52,7 +52,7 @@ SMALL = {
     "04_scenario_b": Small(dict(seeds=8, beside=4, fields=4), ("table_scenario_b",)),
     "03_scenario_a": Small(dict(seeds=4), ("table_scenario_a",)),
     "07_which_worlds": Small(
-        dict(live_worlds=0, truths=20, draws=100), ("inverse_posterior", "inverse_statements")
+        dict(truths=20, draws=100), ("inverse_posterior", "inverse_statements")
     ),
     "further/your_robot": Small(dict(duration_s=20), ("table_your_robot",)),
     "00_start": Small(dict(seed=1)),

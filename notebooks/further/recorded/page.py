@@ -30,9 +30,9 @@ LOGS = {
 _TUNED = {"shipped": "default", "itself": "itself", "others": "others"}
 
 
-def read_logs(folder=FOLDER):
+def read_logs():
     """{name: DataFrame} of the four published logs, those of them that are there."""
-    files = {name: folder / f"{name}.csv" for name in LOGS}
+    files = {name: FOLDER / f"{name}.csv" for name in LOGS}
     return {name: pd.read_csv(file) for name, file in files.items() if file.exists()}
 
 

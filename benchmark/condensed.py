@@ -1,14 +1,23 @@
-"""The RHC's QP condensed to its commands, and solved by a library, as in the paper (qpOASES)."""
+"""The RHC's QP condensed to its commands, and solved by a library, as in the paper (qpOASES).
+
+`measure` times the step of RHE and RHC with it. With qpOASES the feedback phase runs on CasADi's
+virtual machine, because CasADi generates no C code for it. All else is compiled.
+"""
 
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
+import pandas as pd
 
+import rhec
+from notebooks.studies import timing
 from rhec.core._casadi import compiled
 from rhec.core._casadi.build import casadi_function
 from rhec.core.controller.qp import commanded
 from rhec.core.model.limits import MAX_QP_ENTRY, is_plausible
 
+SOLVERS = "qpoases", "daqp"
 # DAQP gets tighter tolerances than its usual ones, so that all solvers agree to 1e-8.
 _OPTIONS = {
     "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}},
@@ -30,6 +39,14 @@ class Condensed:
     def build(self, stages):
         """Build the CondensedQP of Stages."""
         return CondensedQP(stages, self.solver)
+
+
+def measure(scenario):
+    """The times of `timing.table` with each of SOLVERS, and with the recursion by stages."""
+    makers = {solver: partial(rhec.RHC, qp=Condensed(solver)) for solver in SOLVERS}
+    makers["by stages"] = rhec.RHC
+    tables = {name: timing.table(timing.phases(scenario, make)) for name, make in makers.items()}
+    return pd.concat(tables, names=["qp"]).reset_index(level=0)
 
 
 class CondensedQP:
