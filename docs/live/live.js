@@ -161,7 +161,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     this.at_origin_m.set(soil.origin_m);
     this.at_cell_m[0] = this.world.cell_m;
     this.at_noise.set(stream);
-    this.touches = this.telling = null; // the pictures keep them here
+    this.touches = null; // the pictures keep them here
     if (this.wasm.run(samples)) throw new Error(`${this.name} failed`);
     this.samples = samples;
     this.metrics = metrics_of(this);

@@ -60,17 +60,9 @@ function draw_drive(step, i, now) {
   return plot;
 }
 
-// Two standard deviations of two of the quantities of a Gaussian, as 41 points.
-function ellipse([a, b], [i, j], P, turned = place => place) {
-  const first = Math.sqrt(P[i][i]);
-  const mixed = P[i][j] / first;
-  const second = Math.sqrt(Math.max(P[j][j] - mixed ** 2, 0));
-  return Array.from({ length: 41 }, (_, k) => {
-    const cosine = Math.cos(k * Math.PI / 20);
-    const sine = Math.sin(k * Math.PI / 20);
-    return turned([a + 2 * first * cosine, b + 2 * (mixed * cosine + second * sine)]);
-  });
-}
+// Two standard deviations of quantities i and j of a Gaussian.
+const ellipse = (mean, P, [i, j]) =>
+  ellipse_around([mean[i], mean[j]], [P[i][i], P[i][j], P[j][j]]);
 
 const square = flat => Array.from({ length: 6 }, (_, i) => [...flat.slice(6 * i, 6 * i + 6)]);
 
@@ -78,11 +70,7 @@ function draw_window(step, k, seen) { // in the frame of the window's middle pos
   const { memory, newest, P, own } = seen;
   const { tools, loop } = step;
   const [s, z, [m], P_m] = ["s", "z", "m", "P"].map(name => piece_of(tools, memory, name));
-  const [x_0, y_0, theta] = s[s.length >> 1];
-  const turned = ([x, y]) => [
-    (x - x_0) * Math.cos(theta) + (y - y_0) * Math.sin(theta),
-    (y - y_0) * Math.cos(theta) - (x - x_0) * Math.sin(theta),
-  ];
+  const turned = seen_from(s[s.length >> 1]);
   const plot = new Plot(step.canvases[0], [-1, 1], [-0.12, 0.12]);
   const truth = each_sample(loop).slice(Math.max(k - 15, 0), k + 1)
     .map(i => turned(pose_of(loop, i)));
@@ -93,8 +81,9 @@ function draw_window(step, k, seen) { // in the frame of the window's middle pos
   plot.dots(...spread(fixes.filter(([x]) => !Number.isNaN(x))), "--measured",
     { radius: 6, full: false });
   plot.dots(...spread(fits), "--run0", { radius: 4 });
-  if (own.arrival) plot.line(...spread(ellipse(m, [0, 1], P_m, turned)), "--plan", { width: 2 });
-  plot.line(...spread(ellipse(newest, [0, 1], P, turned)), "--ink");
+  const around = (mean, covariance) => spread(ellipse(mean, covariance, [0, 1]).map(turned));
+  if (own.arrival) plot.line(...around(m, P_m), "--plan", { width: 2 });
+  plot.line(...around(newest, P), "--ink");
 }
 
 function draw_costs(step, { nodes, arrival }, own) {
@@ -116,8 +105,8 @@ function draw_traction_plane(step, { bounded, unbound, memory, own }) {
   for (const edge of [[[1, low], [1, 1]], [[0.3, 1], [1, 1]]])
     plot.line(...spread(edge), "--ink", { width: 1, dash: [5, 4] });
   const place = ({ estimate }) => [estimate[5], estimate[4]];
-  if (own.arrival) plot.line(...spread(ellipse([m[5], m[4]], [5, 4], P)), "--plan", { width: 2 });
-  const around = ellipse(place(unbound), [5, 4], square(unbound.covariance));
+  if (own.arrival) plot.line(...spread(ellipse(m, P, [5, 4])), "--plan", { width: 2 });
+  const around = ellipse(unbound.estimate, square(unbound.covariance), [5, 4]);
   plot.line(...spread(around), "--run0");
   plot.dots(...spread([place(unbound)]), "--run0", { radius: 6, full: false });
   if (!own.bounds || !own.feedback) return; // only feedback knows the bounds
