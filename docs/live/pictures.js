@@ -8,7 +8,7 @@ const colour_of = i => COLOURS[page.runs[i].name] ?? `--run${i}`;
 function draw_soil(plot, { field, slip, n, origin_m }) { // and the path
   const { cell_m, soil_shape } = page.world;
   plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + soil_shape[0] * j)]);
-  plot.line(...spread(field.path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
+  plot.line(...spread(field.path), "--ink", PATH);
 }
 
 function pose_of(loop, k) {
@@ -30,15 +30,15 @@ function draw_map(now) {
     const label = page.runs[i].name;
     map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), colour_of(i), { label });
     const outline = box_around(...page.world.robot_m).map(placed_at(pose_of(loop, now)));
-    map.area(...spread(outline), colour_of(i), { alpha: 0.5 });
+    map.area(...spread(outline), colour_of(i), SHADE);
   });
   const yaw = values.start_yaw_rad;
   page.map = map;
   page.start = [0, values.start_offset_m];
   page.heading = [3 * Math.cos(yaw), page.start[1] + 3 * Math.sin(yaw)];
-  map.line(...spread([page.start, page.heading]), "--ink", { width: 1 });
-  map.dots(...spread([page.start]), "--ink", { radius: 5 });
-  map.dots(...spread([page.heading]), "--ink", { radius: 4, full: false });
+  map.line(...spread([page.start, page.heading]), "--ink", THIN);
+  map.dots(...spread([page.start]), "--ink", DOT);
+  map.dots(...spread([page.heading]), "--ink", RING);
 }
 
 function touches_of(loop) { // first sample at which each plant is touched
@@ -95,13 +95,13 @@ function draw_over_time(id, [low, high], now, draw_loop) {
     for (const [from, to] of shaded[$("fault").value]) {
       const across = [from, Math.min(to, end_s)];
       const up = i => [low, high, high, low][i];
-      plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
+      plot.area(4, i => across[i >> 1], up, "--measured", SHADE);
     }
   }
   each_shown((loop, i) => draw_loop(plot, loop, colour_of(i), time, page.runs[i].name));
-  plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
+  plot.line(2, () => time(now), i => [low, high][i], "--soft", THIN);
   plot.limit = value =>
-    plot.line(2, i => i * end_s, () => value, "--ink", { width: 1, dash: [5, 4] });
+    plot.line(2, i => i * end_s, () => value, "--ink", DASHED);
   return plot;
 }
 
@@ -130,7 +130,7 @@ function draw_traction(name, now) {
     const estimate = loop.get(`${name}_hat`);
     if (sigma) plot.band(loop.samples, time, estimate, k => 2 * sigma(k), colour);
     plot.line(loop.samples, time, loop.get(name), "--ink",
-      { width: 0.8, alpha: 0.7, label: `truth of ${label}` });
+      { ...THIN, label: `truth of ${label}` });
     plot.line(loop.samples, time, estimate, colour, { label });
   });
 }

@@ -3,7 +3,15 @@
 const spread = places => [places.length, k => places[k][0], k => places[k][1]];
 const PLANTS = "--plants";
 const TOUCHED = "--touched";
-const ARROW_S = 1; // an arrow is the way of a track in this time
+// Looks of marks [px].
+const THIN = { width: 1 };
+const BOLD = { width: 2 };
+const DASHED = { ...THIN, dash: [5, 4] };
+const PATH = { ...DASHED, alpha: 0.6 };
+const SHADE = { alpha: 0.3 };
+const DOT = { radius: 5 };
+const RING = { ...DOT, full: false };
+const NODE = { radius: 2.5 };
 
 // From the plane to the camera's frame: [ahead, left] of the pose (x, y, θ).
 function seen_from([x, y, theta]) {
@@ -67,8 +75,8 @@ function draw_field(plot, view, see, back) {
   plot.soil([49, 49], [-reach, -reach], cell, at);
   const beside = across => path.map(([x, y, theta]) => see(placed_at([x, y, theta])([0, across])));
   const corridor = [...beside(tolerance_m), ...beside(-tolerance_m).reverse()];
-  plot.area(...spread(corridor), "--soft", { alpha: 0.16 });
-  plot.line(...spread(path.map(see)), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
+  plot.area(...spread(corridor), "--soft", SHADE);
+  plot.line(...spread(path.map(see)), "--ink", PATH);
   plants.forEach(([x, y, u, v], i) => {
     const [ahead, left] = see([u, v]);
     if (Math.abs(ahead) > 1.2 * reach || Math.abs(left) > 1.2 * reach) return;
@@ -78,22 +86,23 @@ function draw_field(plot, view, see, back) {
   });
 }
 
-// Both tracks: ring at the tip of the commanded way of ARROW_S, arrow for the way over ground.
+// Both tracks: ring at the tip of the way of a second that was commanded, arrow for the way over
+// ground.
 function draw_robot_on_tracks(plot, view, see) {
   const { pose, robot_m: [length, width], track_width_m: apart, commanded_mps, ground_mps } = view;
   const out = placed_at(pose);
   const put = points => spread(points.map(out).map(see));
-  plot.area(...put(box_around(length, width)), "--soft", { alpha: 0.3 });
+  plot.area(...put(box_around(length, width)), "--soft", SHADE);
   [1, -1].forEach((side, i) => {
     const across = side * apart / 2;
-    plot.area(...put(box_around(length, width - apart, [0, across])), "--ink", { alpha: 0.35 });
-    const [wanted, driven] = [commanded_mps[i], ground_mps[i]].map(v => [v * ARROW_S, across]);
+    plot.area(...put(box_around(length, width - apart, [0, across])), "--ink", SHADE);
+    const [wanted, driven] = [commanded_mps[i], ground_mps[i]].map(ahead => [ahead, across]);
     const head = [[-0.06, 0.03], [0, 0], [-0.06, -0.03]]
       .map(([ahead, left]) => [driven[0] + ahead * Math.sign(driven[0]), across + left]);
-    plot.line(...put([wanted, driven]), TOUCHED, { width: 3 });
-    plot.line(...put([[0, across], driven]), "--ink", { width: 2 });
-    plot.line(...put(head), "--ink", { width: 2 });
-    plot.dots(...put([wanted]), "--ink", { radius: 4, full: false });
+    plot.line(...put([wanted, driven]), TOUCHED, BOLD);
+    plot.line(...put([[0, across], driven]), "--ink", BOLD);
+    plot.line(...put(head), "--ink", BOLD);
+    plot.dots(...put([wanted]), "--ink", RING);
   });
 }
 
@@ -103,28 +112,28 @@ function draw_estimate(plot, { estimate, covariance, robot_m, colour }, see) {
   const out = placed_at(estimate);
   const put = points => spread(points.map(see));
   const outline = box_around(...robot_m).map(out);
-  plot.line(...put([...outline, outline[0]]), colour, { width: 1.5 });
+  plot.line(...put([...outline, outline[0]]), colour);
   const [xx, xy, yy, yaw] = covariance;
   const [x, y, theta] = estimate;
   const around = ellipse_around([x, y], [xx, xy, yy]);
   const tip = turn => placed_at([x, y, theta + turn])([robot_m[0], 0]);
   const turns = [-1, -0.5, 0, 0.5, 1].map(share => share * Math.min(2 * Math.sqrt(yaw), Math.PI));
-  plot.area(...put([[x, y], ...turns.map(tip)]), colour, { alpha: 0.3 });
-  plot.area(...put(around), colour, { alpha: 0.3 });
-  plot.line(...put(around), colour, { width: 1 });
+  plot.area(...put([[x, y], ...turns.map(tip)]), colour, SHADE);
+  plot.area(...put(around), colour, SHADE);
+  plot.line(...put(around), colour, THIN);
 }
 
 function draw_memory(plot, { driven, measured, window, desired, plan, colour }, see) {
-  plot.line(...spread(driven.map(see)), "--soft", { width: 1.5 });
+  plot.line(...spread(driven.map(see)), "--soft");
   measured.forEach((place, i) => {
-    const look = { radius: 4, alpha: (i + 1) / measured.length };
-    plot.dots(...spread([see(place)]), "--measured", look);
+    const alpha = (i + 1) / measured.length;
+    plot.dots(...spread([see(place)]), "--measured", { ...DOT, alpha });
   });
   plot.line(...spread(window.map(see)), colour);
-  plot.dots(...spread(window.map(see)), colour, { radius: 2.5 });
-  plot.dots(...spread(desired.map(see)), "--ink", { radius: 5, full: false });
+  plot.dots(...spread(window.map(see)), colour, NODE);
+  plot.dots(...spread(desired.map(see)), "--ink", RING);
   plot.line(...spread(plan.map(see)), "--plan");
-  plot.dots(...spread(plan.map(see)), "--plan", { radius: 2 });
+  plot.dots(...spread(plan.map(see)), "--plan", NODE);
 }
 
 // Draw a view: field (path with headings, plants, tolerance_m), pose and tracks, estimate with its

@@ -39,21 +39,25 @@ PREPARE = """() => {
     window.marks = {}
     const reset = CanvasRenderingContext2D.prototype.reset
     CanvasRenderingContext2D.prototype.reset = function () {
-        marks[this.canvas.id] = []
+        marks[this.canvas.id] = { all: [] }
         reset.call(this)
     }
     for (const kind of ["line", "area", "dots"]) {
         const draw = Plot.prototype[kind]
         Plot.prototype[kind] = function (n, x, y, colour, look = {}) {
             const points = Float64Array.from({ length: 2 * n }, (_, i) => (i % 2 ? y : x)(i >> 1))
-            marks[this.c.canvas.id].push({ kind, colour, points, label: look.label ?? "" })
+            const [left, top, right, bottom] = this.box
+            const picture = marks[this.c.canvas.id]
+            picture.limits = [[left, bottom], [right, top]].map(
+                ([offsetX, offsetY]) => this.data({ offsetX, offsetY }))
+            picture.all.push({ kind, colour, points, label: look.label ?? "" })
             draw.call(this, n, x, y, colour, look)
         }
     }
 }"""
 PICTURES = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
-MARKS = """() => Object.fromEntries(Object.entries(marks).map(([canvas, all]) =>
-    [canvas, all.map(mark => ({ ...mark, points: bytes(mark.points) }))]))"""
+MARKS = """() => Object.fromEntries(Object.entries(marks).map(([canvas, { all, limits }]) =>
+    [canvas, { limits, all: all.map(mark => ({ ...mark, points: bytes(mark.points) })) }]))"""
 # The logs, inputs, soils and metrics of the runs, and of a step of the story.
 RUNS = """() => {
     const lines = document.getElementById("line").textContent.split("\\n")
@@ -169,15 +173,19 @@ class Live:
 
     def marks(self):
         """{canvas: what it shows}."""
-        return {canvas: Marks(marks) for canvas, marks in self.page.evaluate(MARKS).items()}
+        return {canvas: Marks(**marks) for canvas, marks in self.page.evaluate(MARKS).items()}
 
 
 class Marks:
-    """What a picture shows, in the units of its axes."""
+    """What a picture shows, in the units of its axes, and where these begin and end."""
 
-    def __init__(self, marks):
+    def __init__(self, all, limits):
         names = ("kind", "colour", "label")
-        self.all = [([mark[name] for name in names], floats(mark["points"])) for mark in marks]
+        self.all = [([mark[name] for name in names], floats(mark["points"])) for mark in all]
+        self.low, self.high = np.array(limits)
+
+    def has_room_for(self, points):
+        return ((self.low - 1e-9 <= points) & (points <= self.high + 1e-9)).all()
 
     def of(self, kind, colour, label=""):
         """The points (n, 2) of each mark of this kind, colour and label."""
@@ -243,7 +251,7 @@ def test_it_opens_offline_at_the_scene_of_an_address_is_light_and_fits_a_phone(o
         assert page.locator("section[data-scene]:visible").all_inner_texts() == (
             page.locator(f"section[data-scene={scene}]").all_inner_texts()
         )
-        assert page.is_visible("#fault") == (scene == "faults")
+        assert page.is_visible("#fault") == page.is_disabled("#window") == (scene == "faults")
         for width in (1366, 390, 1366):
             page.set_viewport_size({"width": width, "height": 768})
             assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -355,6 +363,7 @@ def test_pictures_show_the_columns_of_the_runs(shown):
         for picture, line in expected.items():
             (found,) = marks[picture].of("line", colour, name)
             np.testing.assert_allclose(found, np.column_stack(line), atol=1e-9, err_msg=picture)
+            assert marks[picture].has_room_for(found[200:])  # not for how far off it begins
         for of in ("mu", "kappa"):
             (found,) = marks[of].of("line", "--ink", f"truth of {name}")
             np.testing.assert_array_equal(found, np.column_stack([time, run[of]]))
@@ -366,6 +375,10 @@ def test_pictures_show_the_columns_of_the_runs(shown):
         np.testing.assert_allclose(band[:1200], np.column_stack([time, up]), atol=1e-6)
         middle = (band[:1200] + band[:1199:-1]) / 2
         np.testing.assert_allclose(middle[:, 1], shown.runs[0][f"{name}_hat"], atol=1e-9)
+    for name in ("error", "omega", "mu", "kappa"):
+        assert (marks[name].low[0], marks[name].high[0]) == pytest.approx((0, 240))
+    assert marks["error"].low[1] == 0 and marks["kappa"].high[1] == marks["mu"].high[1] < 1.05
+    assert marks["omega"].high[1] < 1.5 * paper.OMEGA_MAX_RADPS
     levels = {name: [level[0, 1] for level in marks[name].of("line", "--ink")] for name in marks}
     assert levels["error"] == [paper.TOLERANCE_M]
     assert levels["omega"] == [paper.OMEGA_MAX_RADPS, -paper.OMEGA_MAX_RADPS]
@@ -402,6 +415,8 @@ def test_the_robot_in_its_row_is_seen_along_the_path(shown, k):
     aside = left - np.clip(left, -0.25, 0.25)  # the picture moves with a robot that is far off
     eye = x - aside * np.sin(theta), y + aside * np.cos(theta), theta
     see = seen_from(eye)
+    reach_m = 3.2 * paper.SPEED_MPS + 0.7
+    assert (near.low + near.high == pytest.approx((0, 0))) and near.high[0] >= reach_m
     robot, estimated = (seen_from([*see(at), at[2] - theta]) for at in (pose, estimate))
     past = slice(max(k - 59, 0), k + 1)
 
@@ -449,8 +464,7 @@ def test_the_robot_in_its_row_is_seen_along_the_path(shown, k):
     edges = corridor @ turn.T + eye[:2]
     np.testing.assert_allclose(PATH.project(edges)[0], paper.TOLERANCE_M, atol=NEAR_M)
     middles = see(PLANTS[:, 2:])
-    reach_m = 1.2 * (3.2 * paper.SPEED_MPS + 0.7)
-    middles = middles[(np.abs(middles) < reach_m).all(axis=1)]
+    middles = middles[(np.abs(middles) < 1.2 * reach_m).all(axis=1)]
     plants = np.concatenate([*near.of("dots", "--plants"), *near.of("dots", "--touched")])
     assert_same_places(plants, middles)
 
@@ -609,14 +623,16 @@ INK = """() => {
     const row = (y, from, to) => // along a line
         Array.from({ length: 10 * (to - from) }, (_, i) => red(from + i / 10, y))
     plot.soil([5, 4], [2.3, 12.3], 2, (i, j) => i === 3 && j === 1 ? 0.75 : 1)
-    plot.line(100, k => k === 50 ? NaN : 0.41 * k - 0.1, () => 1.3, "red", { width: 3 })
+    plot.line(100, k => k === 50 ? NaN : 0.41 * k - 0.1, () => 1.3, "red", { width: 3, alpha: 0.8 })
+    plot.area(4, i => [36, 36, 38, 38][i], i => [-5, 25, 25, -5][i], "red")
     plot.line(2, k => 2.1 + 36 * k, () => 3.3, "red", { width: 3, dash: [5, 5] })
     plot.area(4, i => [2, 2, 8, 8][i], i => [6, 9, 9, 6][i], "red", { alpha: 0.5 })
     plot.dots(2, k => 12.3 + 6 * k, () => 7.3, "red", { radius: 8 })
     plot.dots(1, () => 25.3, () => 7.3, "red", { radius: 8, full: false, alpha: 0.9 })
     plot.band(3, k => 30 + 4 * k, k => 7, k => 2, "red")
     const seen = {
-        line: row(1.3, -2, 42), dashes: row(3.3, 2, 38), area: row(7.3, 1, 9),
+        line: row(1.3, -2, 35), dashes: row(3.3, 2, 38), area: row(7.3, 1, 9),
+        edges: [-0.6, 0.6, 19.4, 20.4].map(y => red(37, y)),
         dots: [12.3, 18.3, 15.3].map(x => red(x, 7.3)), ring: [25.3, 26.1].map(x => red(x, 7.3)),
         band: [4.4, 5.4, 8.6, 9.4].map(y => red(34.3, y)),
         soil: [0, 1, 2, 3].map(j => [0, 1, 2, 3, 4].map(i => red(2.3 + 2 * i, 12.3 + 2 * j))),
@@ -658,10 +674,15 @@ def test_a_tick_stands_where_a_pointer_reads_its_number(live, options):
 
 def test_what_is_drawn_is_seen_where_it_is(live):
     seen = {name: np.array(pixels) for name, pixels in live.page.evaluate(INK).items()}
-    x = np.arange(-20, 420) / 10
-    expected = (x > 0) & (x < 40) & ((x < 20) | (x > 20.8))  # a value is not known there
-    edges = np.abs(x[:, None] - [0, 40, 20, 20.8]).min(axis=1) < 0.25
-    np.testing.assert_array_equal((seen["line"] > 0.5)[~edges], expected[~edges])
+    x = np.arange(-20, 350) / 10
+    expected = 0.8 * ((x > 0) & ((x < 20) | (x > 20.8)))  # where a value is not known is a gap
+    edges = np.abs(x[:, None] - [0, 10, 20, 20.8, 30]).min(axis=1) < 0.25  # and lines of the grid
+    joints = np.abs(x[:, None] - (0.41 * np.arange(0, 100, 32) - 0.1)).min(axis=1) < 0.5
+    np.testing.assert_allclose(
+        seen["line"][~edges & ~joints], expected[~edges & ~joints], atol=0.01
+    )
+    assert seen["line"][joints & (x > 1)].min() > 0.3
+    np.testing.assert_array_equal(seen["edges"], [0, 1, 1, 0])
     assert 0.4 < (seen["dashes"] > 0.5).mean() < 0.6
     np.testing.assert_allclose(seen["area"][15:65], 0.5, atol=0.01)
     assert not seen["area"][:8].any() and not seen["area"][72:].any()
@@ -691,7 +712,7 @@ VIEWS = """() => {
             const [up, across] = canvas.id === "view-map" ? [10, ""] : [1, "t [s]"]
             const plot = views.plot(canvas, [0, 10], [0, up], { across })
             plot.line(11, k => k, k => up * k / 10, "red", { label: "up" })
-            plot.line(11, k => k, k => k < 5 ? -0.0123 - k : NaN, "red", { label: "down" })
+            plot.line(5, k => k, k => k === 2 ? NaN : -0.0123 - k, "red", { label: "down" })
             plot.line(11, k => k, k => 0.5, "red")
         }
     })
@@ -720,22 +741,27 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     def limits_are(*expected):
         np.testing.assert_allclose(page.evaluate(LIMITS), expected, atol=0.02)
 
-    def drag(canvas, start, end):
+    def drag(canvas, start, end, button="left"):
         page.mouse.move(*px(canvas, *start))
-        page.mouse.down()
+        page.mouse.down(button=button)
         page.mouse.move(*px(canvas, *end), steps=3)
         boxes = page.eval_on_selector_all(
             f"#view-{canvas} ~ .view-box:not([hidden])",
             "all => all.map(box => [box.style.width, box.style.height])",
         )
-        page.mouse.up()
+        page.mouse.up(button=button)
         return [round(float(length[:-2])) for box in boxes for length in box]
 
     words = page.locator("[id^=view-] ~ .view-words")
-    for canvas, place, k in (("one", (4.1, 0.9), 4), ("map", (6.4, 0.76), 7)):
+    for canvas, place, k in (
+        ("one", (4.1, 0.9), 4),
+        ("two", (2.1, 0.9), 2),
+        ("two", (4.6, 0), 5),
+        ("map", (6.4, 0.76), 7),
+    ):
         page.mouse.move(*px(canvas, *place))
         said = [f"up {k / 10:g}", f"up {k}, {k}"]
-        if k < 5:
+        if k == 4:
             said = [f"down −{k + 0.0123:.3g} · {said[0]}", f"down 4, −4.01 · {said[1]}"]
         said = [f"{k}.0 s · {said[0]}"] * 2 + [said[1]]
         assert words.all_inner_texts() == said
@@ -746,6 +772,8 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     assert cursors[0] == [one[0] + 38 + 30 * 7, one[1] + 6, 200]
     # Ctrl and wheel zoom around the pointer, in time in all pictures over time.
     page.mouse.move(*px("one", 4, 0.25))
+    page.mouse.wheel(0, -100)
+    limits_are(whole, whole, whole_map)
     page.keyboard.down("Control")
     page.mouse.wheel(0, -100)
     page.keyboard.up("Control")
@@ -758,7 +786,11 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     x = [each + share for each in x]
     up = [0.15 - 0.25 * share, 0.15 + 0.75 * share]
     limits_are([*x, max(up[0], 0), up[1]], [*x, 0, 1], whole_map)
+    drag("one", (0, 0.5), (10, 0.52))
+    limits_are([*x, max(up[0], 0), up[1]], [*x, 0, 1], whole_map)
     page.mouse.dblclick(*px("one", 5, 0.5))
+    limits_are(whole, whole, whole_map)
+    assert not drag("map", (6, 0.8), (2, 0.3), "right")
     limits_are(whole, whole, whole_map)
     # A box is what is seen next; a flat one chooses times alone.
     assert drag("map", (6, 0.8), (2, 0.3)) == [30 * 4, 200 * 0.5]
@@ -917,6 +949,7 @@ def test_a_step_says_and_draws_what_its_run_shows_and_is_open_until_answered(liv
     for (canvas, colour), points in lines.items():
         (found, *_) = marks[canvas].of("line", colour)
         np.testing.assert_allclose(found, points, atol=2e-6, err_msg=canvas)
+        assert marks[canvas].has_room_for(after_the_guess(found))
 
 
 def test_window_costs_and_filter_of_the_story_are_those_of_python(live):
