@@ -3,6 +3,7 @@
 const spread = places => [places.length, k => places[k][0], k => places[k][1]];
 const PLANTS = "--plants";
 const TOUCHED = "--touched";
+const CELLS = 49; // of the soil along either side, the middle one under the camera
 // Looks of marks [px].
 const THIN = { width: 1 };
 const BOLD = { width: 2 };
@@ -70,9 +71,9 @@ function first_touches(n, x, y, theta, plants, [length, width]) {
 
 function draw_field(plot, view, see, back) {
   const { path, tolerance_m, plants, touched, traction, reach_m: reach } = view;
-  const cell = reach / 24;
+  const cell = reach / (CELLS >> 1);
   const at = (i, j) => traction(...back([-reach + i * cell, -reach + j * cell]));
-  plot.soil([49, 49], [-reach, -reach], cell, at);
+  plot.soil([CELLS, CELLS], [-reach, -reach], cell, at);
   const beside = across => path.map(([x, y, theta]) => see(placed_at([x, y, theta])([0, across])));
   const corridor = [...beside(tolerance_m), ...beside(-tolerance_m).reverse()];
   plot.area(...spread(corridor), "--soft", SHADE);

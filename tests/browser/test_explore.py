@@ -205,6 +205,9 @@ def test_the_screen_draws_the_marks_of_a_picture_and_a_legend_hides_them(page):
     assert drawn() == every and entries.nth(2).get_attribute("aria-pressed") == "true"
     words = ".rhec-status, .rhec-line, .rhec-metrics"
     assert page.locator(words).all_inner_texts() == ["ready", "rhec", "1"]
+    page.locator("canvas").nth(1).hover()
+    page.evaluate("state.picture.panels.b.marks[2].note = 'of two', told()")
+    assert "RHE of two" in page.inner_text("canvas[aria-label=error] ~ .view-words")
     # What is new is shown, and what is not stays as it is.
     page.evaluate("canvas = document.querySelector('canvas')")
     page.evaluate("state.status = 'busy', state.line = 'new', state.table = 'no', told()")

@@ -21,7 +21,7 @@ from rhec.explorer.explorer import METRICS
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, MEASUREMENTS, POSE
 from rhec.simulation.parts import parts_of
-from rhec.tracked_robot import tuning
+from rhec.tracked_robot import plant, tuning
 
 pytestmark = needs_live_page
 
@@ -255,6 +255,7 @@ def test_it_opens_offline_at_the_scene_of_an_address_is_light_and_fits_a_phone(o
         for width in (1366, 390, 1366):
             page.set_viewport_size({"width": width, "height": 768})
             assert page.evaluate("document.documentElement.scrollWidth") <= width
+            wait_until(page, "$('map').width === $('map').clientWidth")  # it is drawn again
     assert said == []
     assert {url.partition(":")[0] for url in asked} <= {"about", "data", "file"}
     sizes = {file.name: file.stat().st_size for file in (LIVE_PAGE.parent / "live").iterdir()}
@@ -298,6 +299,10 @@ def test_the_line_of_python_names_the_rule_and_the_turns_and_drives_by_them(live
         for name in ("x_m", "y_m"):
             found = run["rows"][:, COLUMNS.index(name)]
             np.testing.assert_allclose(found, native.columns[name], atol=5e-3)
+        noise = plant.draw_noise(native.scenario.seed, len(run["noise"]))
+        np.testing.assert_allclose(run["noise"], noise, atol=8 / 2**15 / 2)
+        settled_s = float(run["metrics"]["settling_time_s"])
+        assert settled_s == pytest.approx(native.metrics["settling_time_s"], abs=0.2)
     page.select_option("#noise", rule)
     page.select_option("#turns", turns)
     live.settled()
@@ -380,6 +385,7 @@ def test_pictures_show_the_columns_of_the_runs(shown):
     assert marks["error"].low[1] == 0 and marks["kappa"].high[1] == marks["mu"].high[1] < 1.05
     assert marks["omega"].high[1] < 1.5 * paper.OMEGA_MAX_RADPS
     levels = {name: [level[0, 1] for level in marks[name].of("line", "--ink")] for name in marks}
+    assert marks["omega"].of("line", "--ink")[0][:, 0] == pytest.approx((0, 240))
     assert levels["error"] == [paper.TOLERANCE_M]
     assert levels["omega"] == [paper.OMEGA_MAX_RADPS, -paper.OMEGA_MAX_RADPS]
     for name in ("error", "omega", "mu", "kappa"):
@@ -752,6 +758,9 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
         page.mouse.up(button=button)
         return [round(float(length[:-2])) for box in boxes for length in box]
 
+    assert (
+        page.locator("[id^=view-] ~ div:not([hidden]), [id^=view-] ~ output:visible").count() == 0
+    )
     words = page.locator("[id^=view-] ~ .view-words")
     for canvas, place, k in (
         ("one", (4.1, 0.9), 4),
@@ -812,6 +821,15 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     page.mouse.move(600, 600)
     assert not any(word.is_visible() for word in words.all())
     page.evaluate("document.getElementById('view-one').closest('div').remove()")
+
+
+def test_the_page_says_what_failed(live):
+    page = live.page
+    page.evaluate("ask(() => { throw Error('of all things') })")
+    wait_until(page, "$('said').textContent === 'of all things'")
+    page.evaluate("want({ id: 'no step', form: { elements: [] } })")
+    wait_until(page, "$('said').textContent.includes('not a function')")
+    live.scene("a")
 
 
 # The story
