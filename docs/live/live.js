@@ -161,7 +161,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     this.at_origin_m.set(soil.origin_m);
     this.at_cell_m[0] = this.world.cell_m;
     this.at_noise.set(stream);
-    this.touches = this.telling = null; // the pictures keep them here
+    this.touches = null; // the pictures keep them here
     if (this.wasm.run(samples)) throw new Error(`${this.name} failed`);
     this.samples = samples;
     this.metrics = metrics_of(this);
@@ -180,11 +180,11 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
     return states.includes(name) ? k => Math.sqrt(this.covariance(name, name, k)) : null;
   }
 
-  covariance(one, other, k) { // of two states; NaN where one is not estimated
+  covariance(one, other, k) { // of two states
     const { states } = this.data;
     const n = states.length;
     const [i, j] = [one, other].map(name => states.indexOf(name));
-    return i < 0 || j < 0 ? NaN : this.at_covariance[(k * n + j) * n + i];
+    return this.at_covariance[(k * n + j) * n + i];
   }
 
   piece(name, k) { // of the memory after sample k, column by column

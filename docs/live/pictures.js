@@ -4,24 +4,11 @@
 // As in the figures (rhec/style.py): weights and estimators keep their colours in all scenes.
 const COLOURS = { "Q¹": "--q1", "Q²": "--q2", "Q³": "--run0", RHE: "--run0", EKF: "--run1" };
 const colour_of = i => COLOURS[page.runs[i].name] ?? `--run${i}`;
-const TELLING_S = 3; // of the path's glow
 
 function draw_soil(plot, { field, slip, n, origin_m }) { // and the path
   const { cell_m, soil_shape } = page.world;
   plot.soil(n, origin_m, cell_m, (i, j) => slip[1 + 2 * (i + soil_shape[0] * j)]);
-  plot.line(...spread(field.path), "--ink", { width: 1, dash: [5, 4], alpha: 0.6 });
-}
-
-function draw_robot(plot, [x, y, theta], colour) {
-  const [length, width] = page.world.robot_m;
-  const cosine = Math.cos(theta) / 2;
-  const sine = Math.sin(theta) / 2;
-  const signs = [[1, 1], [-1, 1], [-1, -1], [1, -1]];
-  const corners = signs.map(([ahead, left]) => [
-    x + ahead * length * cosine - left * width * sine,
-    y + ahead * length * sine + left * width * cosine,
-  ]);
-  plot.area(...spread(corners), colour, { alpha: 0.5 });
+  plot.line(...spread(field.path), "--ink", PATH);
 }
 
 function pose_of(loop, k) {
@@ -39,32 +26,19 @@ function draw_map(now) {
   const map = page.views.plot($("map"), [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 3.5, highest[1] + 2], { equal: true });
   draw_soil(map, page.soil);
-  const followed = loops[page.followed];
-  const glow = telling_of(followed);
-  draw_telling(map, followed.samples, followed.get("x_m"), followed.get("y_m"), glow, 5);
   each_shown((loop, i) => {
     const label = page.runs[i].name;
     map.line(loop.samples, loop.get("x_m"), loop.get("y_m"), colour_of(i), { label });
-    draw_robot(map, pose_of(loop, now), colour_of(i));
+    const outline = box_around(...page.world.robot_m).map(placed_at(pose_of(loop, now)));
+    map.area(...spread(outline), colour_of(i), SHADE);
   });
   const yaw = values.start_yaw_rad;
   page.map = map;
   page.start = [0, values.start_offset_m];
   page.heading = [3 * Math.cos(yaw), page.start[1] + 3 * Math.sin(yaw)];
-  map.line(...spread([page.start, page.heading]), "--ink", { width: 1 });
-  map.dots(...spread([page.start]), "--ink", { radius: 5 });
-  map.dots(...spread([page.heading]), "--ink", { radius: 4, full: false });
-}
-
-// What share of the variance of a run's κ the last TELLING_S removed, by sample; see `told`.
-function telling_of(loop) {
-  const sigma = loop.sigma("kappa");
-  if (!sigma) return () => 0;
-  const W = loop.at_W[loop.data.states.indexOf("kappa")];
-  const length = Math.round(TELLING_S / page.world.dt_s);
-  const share = (_, k) => told(i => sigma(i) ** 2, W, k, length);
-  loop.telling ??= Float64Array.from({ length: loop.samples }, share);
-  return k => loop.telling[k];
+  map.line(...spread([page.start, page.heading]), "--ink", THIN);
+  map.dots(...spread([page.start]), "--ink", DOT);
+  map.dots(...spread([page.heading]), "--ink", RING);
 }
 
 function touches_of(loop) { // first sample at which each plant is touched
@@ -81,9 +55,8 @@ function view_of(loop, now, colour) { // what draw_robot_view needs to know of a
   const [age] = loop.piece("age", now)[0] ?? [0]; // intervals in the window
   const window = loop.piece("s", now).slice(-1 - age);
   const reach_m = 3.2 * values.speed_mps + 0.7;
-  const near = [-6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6].map(i => i * reach_m / 5);
+  const near = Array.from({ length: 13 }, (_, i) => (i - 6) * reach_m / 5);
   const past = Array.from({ length: Math.min(now + 1, 60) }, (_, i) => Math.max(now - 59, 0) + i);
-  const telling = telling_of(loop);
   const touches = touches_of(loop);
   const pair = (nu, omega) => [-1, 1].map(side => nu + side * track_width_m / 2 * omega);
   const P = (of, and) => loop.covariance(of, and, now);
@@ -94,7 +67,6 @@ function view_of(loop, now, colour) { // what draw_robot_view needs to know of a
     estimate: ["x_hat_m", "y_hat_m", "theta_hat_rad"].map(row),
     covariance: [P("x_m", "x_m"), P("x_m", "y_m"), P("y_m", "y_m"), P("theta_rad", "theta_rad")],
     driven: past.map(k => pose_of(loop, k)),
-    telling: past.map(telling),
     measured: past.slice(-25).map(k => ["x_meas_m", "y_meas_m"].map(name => loop.get(name)(k))),
     desired: loop.desired(now, values.look_ahead_m),
     plan: loop.piece("plan", now),
@@ -103,7 +75,7 @@ function view_of(loop, now, colour) { // what draw_robot_view needs to know of a
       row("kappa") * row("omega_radps") + row("mu") * row("nu_mps") * row("yaw_drift_radpm")),
     traction: (x, y) => world.traction(soil, x, y),
     touched: i => touches[i] <= now,
-    window, reach_m, plants, tolerance_m, robot_m, track_width_m, colour, tint: "--soft",
+    window, reach_m, plants, tolerance_m, robot_m, track_width_m, colour,
   };
 }
 
@@ -123,13 +95,13 @@ function draw_over_time(id, [low, high], now, draw_loop) {
     for (const [from, to] of shaded[$("fault").value]) {
       const across = [from, Math.min(to, end_s)];
       const up = i => [low, high, high, low][i];
-      plot.area(4, i => across[i >> 1], up, "--measured", { alpha: 0.15 });
+      plot.area(4, i => across[i >> 1], up, "--measured", SHADE);
     }
   }
   each_shown((loop, i) => draw_loop(plot, loop, colour_of(i), time, page.runs[i].name));
-  plot.line(2, () => time(now), i => [low, high][i], "--soft", { width: 1 });
+  plot.line(2, () => time(now), i => [low, high][i], "--soft", THIN);
   plot.limit = value =>
-    plot.line(2, i => i * end_s, () => value, "--ink", { width: 1, dash: [5, 4] });
+    plot.line(2, i => i * end_s, () => value, "--ink", DASHED);
   return plot;
 }
 
@@ -158,7 +130,7 @@ function draw_traction(name, now) {
     const estimate = loop.get(`${name}_hat`);
     if (sigma) plot.band(loop.samples, time, estimate, k => 2 * sigma(k), colour);
     plot.line(loop.samples, time, loop.get(name), "--ink",
-      { width: 0.8, alpha: 0.7, label: `truth of ${label}` });
+      { ...THIN, label: `truth of ${label}` });
     plot.line(loop.samples, time, estimate, colour, { label });
   });
 }

@@ -45,7 +45,7 @@ const over_time = (step, i, up, draw, now) => {
   const end_s = loop.samples * page.world.dt_s;
   const plot = new Plot(step.canvases[i], [0, end_s], up, { across: "t [s]" });
   draw(plot, k => k * page.world.dt_s);
-  if (now !== undefined) plot.line(2, () => now, j => up[j], "--soft", { width: 1 });
+  if (now !== undefined) plot.line(2, () => now, j => up[j], "--soft", THIN);
   return plot;
 };
 
@@ -55,22 +55,14 @@ function draw_drive(step, i, now) {
   const plot = new Plot(step.canvases[i], [lowest[0] - 2, highest[0] + 2],
     [lowest[1] - 7, highest[1] + 2], { equal: true }); // below: where dead reckoning goes
   draw_soil(plot, soil);
-  plot.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--run0", { width: 2 });
-  plot.dots(...spread([pose_of(loop, now)]), "--run0", { radius: 6 });
+  plot.line(now + 1, loop.get("x_m"), loop.get("y_m"), "--run0", BOLD);
+  plot.dots(...spread([pose_of(loop, now)]), "--run0", DOT);
   return plot;
 }
 
-// Two standard deviations of two of the quantities of a Gaussian, as 41 points.
-function ellipse([a, b], [i, j], P, turned = place => place) {
-  const first = Math.sqrt(P[i][i]);
-  const mixed = P[i][j] / first;
-  const second = Math.sqrt(Math.max(P[j][j] - mixed ** 2, 0));
-  return Array.from({ length: 41 }, (_, k) => {
-    const cosine = Math.cos(k * Math.PI / 20);
-    const sine = Math.sin(k * Math.PI / 20);
-    return turned([a + 2 * first * cosine, b + 2 * (mixed * cosine + second * sine)]);
-  });
-}
+// Two standard deviations of quantities i and j of a Gaussian.
+const ellipse = (mean, P, [i, j]) =>
+  ellipse_around([mean[i], mean[j]], [P[i][i], P[i][j], P[j][j]]);
 
 const square = flat => Array.from({ length: 6 }, (_, i) => [...flat.slice(6 * i, 6 * i + 6)]);
 
@@ -78,23 +70,19 @@ function draw_window(step, k, seen) { // in the frame of the window's middle pos
   const { memory, newest, P, own } = seen;
   const { tools, loop } = step;
   const [s, z, [m], P_m] = ["s", "z", "m", "P"].map(name => piece_of(tools, memory, name));
-  const [x_0, y_0, theta] = s[s.length >> 1];
-  const turned = ([x, y]) => [
-    (x - x_0) * Math.cos(theta) + (y - y_0) * Math.sin(theta),
-    (y - y_0) * Math.cos(theta) - (x - x_0) * Math.sin(theta),
-  ];
+  const turned = seen_from(s[s.length >> 1]);
   const plot = new Plot(step.canvases[0], [-1, 1], [-0.12, 0.12]);
   const truth = each_sample(loop).slice(Math.max(k - 15, 0), k + 1)
     .map(i => turned(pose_of(loop, i)));
-  plot.line(...spread(truth), "--soft", { width: 1 });
+  plot.line(...spread(truth), "--soft", THIN);
   const fits = s.map(turned);
   const fixes = z.map(turned);
-  fits.forEach((fit, i) => plot.line(...spread([fit, fixes[i]]), "--soft", { width: 1 }));
-  plot.dots(...spread(fixes.filter(([x]) => !Number.isNaN(x))), "--measured",
-    { radius: 6, full: false });
-  plot.dots(...spread(fits), "--run0", { radius: 4 });
-  if (own.arrival) plot.line(...spread(ellipse(m, [0, 1], P_m, turned)), "--plan", { width: 2 });
-  plot.line(...spread(ellipse(newest, [0, 1], P, turned)), "--ink");
+  fits.forEach((fit, i) => plot.line(...spread([fit, fixes[i]]), "--soft", THIN));
+  plot.dots(...spread(fixes.filter(([x]) => !Number.isNaN(x))), "--measured", RING);
+  plot.dots(...spread(fits), "--run0", DOT);
+  const around = (mean, covariance) => spread(ellipse(mean, covariance, [0, 1]).map(turned));
+  if (own.arrival) plot.line(...around(m, P_m), "--plan", BOLD);
+  plot.line(...around(newest, P), "--ink");
 }
 
 function draw_costs(step, { nodes, arrival }, own) {
@@ -114,15 +102,15 @@ function draw_traction_plane(step, { bounded, unbound, memory, own }) {
   const low = Math.min(0.9, bounded.estimate[4] - 0.05);
   const plot = new Plot(step.canvases[2], [0.3, 1.5], [low, 1.05]);
   for (const edge of [[[1, low], [1, 1]], [[0.3, 1], [1, 1]]])
-    plot.line(...spread(edge), "--ink", { width: 1, dash: [5, 4] });
+    plot.line(...spread(edge), "--ink", DASHED);
   const place = ({ estimate }) => [estimate[5], estimate[4]];
-  if (own.arrival) plot.line(...spread(ellipse([m[5], m[4]], [5, 4], P)), "--plan", { width: 2 });
-  const around = ellipse(place(unbound), [5, 4], square(unbound.covariance));
+  if (own.arrival) plot.line(...spread(ellipse(m, P, [5, 4])), "--plan", BOLD);
+  const around = ellipse(unbound.estimate, square(unbound.covariance), [5, 4]);
   plot.line(...spread(around), "--run0");
-  plot.dots(...spread([place(unbound)]), "--run0", { radius: 6, full: false });
+  plot.dots(...spread([place(unbound)]), "--run0", RING);
   if (!own.bounds || !own.feedback) return; // only feedback knows the bounds
-  plot.line(...spread([place(unbound), place(bounded)]), "--soft", { width: 1 });
-  plot.dots(...spread([place(bounded)]), "--run0", { radius: 5 });
+  plot.line(...spread([place(unbound), place(bounded)]), "--soft", THIN);
+  plot.dots(...spread([place(bounded)]), "--run0", DOT);
 }
 
 // The steps: each draws, and returns the numbers that are said and whether the question is done.
@@ -134,8 +122,8 @@ const STEPS = {
     const k = Math.round(time / page.world.dt_s);
     const error = far(poses[k], pose_of(loop, k));
     const plot = draw_drive(step, 0, k);
-    plot.line(k + 1, i => poses[i][0], i => poses[i][1], "--run1", { width: 2 });
-    plot.dots(...spread([poses[k]]), "--run1", { radius: 6 });
+    plot.line(k + 1, i => poses[i][0], i => poses[i][1], "--run1", BOLD);
+    plot.dots(...spread([poses[k]]), "--run1", DOT);
     const pace = i => far(pose_of(loop, i), pose_of(loop, i - 1));
     const way = each_sample(loop).slice(1, k + 1).reduce((sum, i) => sum + pace(i), 0);
     return { time, error, way, ok: Math.abs(error - 0.39) <= 0.05, digits: { error: 2, way: 1 } };
@@ -191,7 +179,7 @@ const STEPS = {
     const gaps = both.map(([a, b]) => far(a, b));
     over_time(step, 0, [0, 0.02], (plot, time) =>
       plot.line(loop.samples, time, k => gaps[k], "--run0")).line(
-      2, i => i * 120, () => 0.001, "--ink", { width: 1, dash: [5, 4] });
+      2, i => i * 120, () => 0.001, "--ink", DASHED);
     const late = gaps.slice(LATE);
     const largest = 1e3 * Math.max(...late);
     const gnss = 1e3 * rms(each_sample(loop).map(k => far(measured(loop, k), pose_of(loop, k))));
@@ -220,7 +208,7 @@ const STEPS = {
     const { loop } = step;
     const estimate = loop.get("kappa_hat");
     over_time(step, 0, [0, 1.08], (plot, time) => {
-      plot.line(loop.samples, time, loop.get("kappa"), "--ink", { width: 0.8 });
+      plot.line(loop.samples, time, loop.get("kappa"), "--ink", THIN);
       plot.line(loop.samples, time, estimate, "--run0");
     });
     const all = each_sample(loop);

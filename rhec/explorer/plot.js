@@ -21,7 +21,7 @@ class Plot { // a colour is CSS, or the name of a property of the canvas, as "--
     Object.assign(this, { box: [left, top, right, bottom], lines: [], over_time: Boolean(across) });
     this.colour = name => name.startsWith("--") ? style.getPropertyValue(name) : name;
     this.scale = sx, this.c = c, c.reset(), c.scale(dots, dots);
-    Object.assign(c, { font: "11px system-ui, sans-serif", lineJoin: "bevel", lineWidth: 1,
+    Object.assign(c, { font: "11px system-ui, sans-serif", lineJoin: "bevel",
       fillStyle: this.colour("--soft"), strokeStyle: this.colour("--line") });
     const ticks = (low, pixels, per, apart, put) => {
       const ten = 10 ** Math.floor(Math.log10(apart / per));

@@ -2,10 +2,14 @@
 and what the page then shows. `test_live.py` tests the values that a pointer shows.
 """
 
+import base64
+
 import numpy as np
 import pytest
 
 from benchmark import latency
+from rhec.explorer.panels import Mark, Panel, Picture, packed
+from rhec.explorer.screen import CSS, Screen
 
 # From here on the page counts the pictures that follow a change, and notes which messages the
 # kernel has not yet dealt with.
@@ -30,6 +34,39 @@ QUIET = """async () => {
         if (unanswered.size) since = performance.now()
         await new Promise(done => setTimeout(done, 20))
     }
+}"""
+
+
+# The screen without a kernel: what its pictures draw is noted, by their titles.
+RENDER = """([state, numbers]) => {
+    window.drawn = {}
+    const reset = CanvasRenderingContext2D.prototype.reset
+    CanvasRenderingContext2D.prototype.reset = function () {
+        drawn[this.canvas.ariaLabel] = []
+        reset.call(this)
+    }
+    const note = (kind, what) => {
+        const draw = Plot.prototype[kind]
+        Plot.prototype[kind] = function (...given) {
+            drawn[this.c.canvas.ariaLabel].push({ kind, ...what(...given) })
+            draw.apply(this, given)
+        }
+    }
+    const list = (length, of) => Array.from({ length }, (_, k) => of(k))
+    for (const kind of ["line", "area", "dots"])
+        note(kind, (n, x, y, colour, { label }) => ({ x: list(n, x), y: list(n, y), label }))
+    note("soil", ([wide, high], [x, y], cell_m, traction) => ({
+        x: list(wide, i => x + i * cell_m),
+        y: list(high, j => y + j * cell_m),
+        traction: list(wide * high, at => traction(Math.floor(at / high), at % high)),
+    }))
+    const bytes = Uint8Array.from(atob(numbers), letter => letter.charCodeAt(0))
+    state.numbers = new DataView(bytes.buffer, 3) // a message begins anywhere
+    const listeners = new Set()
+    window.told = () => listeners.forEach(each => each())
+    const model = { get: name => state[name], on: (_, act) => listeners.add(act), off() {} }
+    window.state = state
+    screen_of({ model, el: document.querySelector(".rhec") })
 }"""
 
 
@@ -116,37 +153,72 @@ def test_a_moved_slider_drives_the_field_again_and_a_click_copies_the_setting(ex
     assert (explorer.picture, explorer.metrics, explorer.line) == (picture, metrics, line)
 
 
-def test_a_box_zooms_a_drag_moves_a_double_click_shows_all_and_the_legend_hides(explorer):
-    page = explorer.page
-    whole = explorer.picture
+def test_the_screen_draws_the_marks_of_a_picture_and_a_legend_hides_them(page):
+    x, y = np.arange(5.0), np.linspace(0.25, 1, 5)
+    traction = np.linspace(0.5, 1, 12).reshape(4, 3)
+    soil = Mark("soil", 2 * np.arange(4.0), 2 * np.arange(3.0), traction=traction)
+    dots = Mark("dots", x, y, colour="red", label="seen", note="by GNSS")
+    ring = Mark("dots", x, y, colour="blue", label="worst", note=None, full=False)
+    line = Mark("line", x, 2 * y, label="RHE", note="")
+    dashed = Mark("line", x, np.where(y > 0.5, y, np.nan), dash=(2, 2), label="path")
+    area = Mark("area", x, y, label="band")
+    panels = dict(
+        a=Panel("field", (0, 6), (0, 4), [soil, dots, ring], "equal"),
+        b=Panel("error", (0, 5), (0.1, 2), [area, dashed, line], "log", "t [s]"),
+    )
+    picture = Picture(("a b",), panels)
+    content, numbers = packed(picture)
+    state = dict(status="ready", status_kind="good", line="rhec", picture=content)
+    state |= dict(table="<table><tr><td>1</td></tr></table>")
+    page.set_content("<body><div class=rhec style='width: 900px'></div></body>")
+    page.add_style_tag(content=CSS)
+    script = Screen._esm.replace("export default { render };", "window.screen_of = render;")
+    page.add_script_tag(content=str(script))
+    page.evaluate(RENDER, [state, base64.b64encode(b"---" + numbers).decode()])
 
-    def drag(by_x, by_y):
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + by_x, y + by_y, steps=3)
-        page.mouse.up()
-        page.mouse.move(1, 1)
-        return explorer.picture
+    def drawn():
+        return {
+            title: [(mark["kind"], mark.get("label")) for mark in marks]
+            for title, marks in page.evaluate("drawn").items()
+        }
 
-    # Pictures over time have one axis along x; the map has its own.
-    for place, others in ((0, [0]), (1, [1, 2, 3, 4, 5])):
-        box = page.locator(".rhec-canvas").nth(place).bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        zoomed = drag(60, 30)
-        assert [i for i in range(6) if zoomed[i] != whole[i]] == others
-        page.keyboard.down("Shift")
-        assert drag(20, 0)[place] != zoomed[place]
-        page.keyboard.up("Shift")
-        page.mouse.dblclick(x, y)
-        page.mouse.move(1, 1)
-        assert explorer.picture == whole
-    button = page.locator(".rhec-legend").get_by_role("button", name="EKF")
-    button.click()
-    assert button.get_attribute("aria-pressed") == "false"
-    assert all(now != before for now, before in zip(explorer.picture, whole))
-    button.click()
-    page.mouse.move(1, 1)
-    assert explorer.picture == whole
+    for panel in panels.values():
+        found = page.evaluate("drawn")[panel.title]
+        for mark, seen in zip(panel.marks, found, strict=True):
+            assert seen["kind"] == mark.kind
+            for name in ("x", "y") if mark.traction is None else ("x", "y", "traction"):
+                wanted = np.ravel(getattr(mark, name)).astype(np.float32)
+                np.testing.assert_array_equal(np.array(seen[name], dtype=float), wanted)
+    # A mark whose values are not told has no label for the pointer.
+    assert [label for _, label in drawn()["field"]] == [None, "seen by GNSS", ""]
+    assert [label for _, label in drawn()["error"]] == ["", "", "RHE"]
+    entries = page.locator(".rhec-legend button")
+    assert entries.all_inner_texts() == ["○ worst", "● seen", "━ RHE", "╍ path", "━ band"]
+    colours = "all => all.map(sample => getComputedStyle(sample).color)"
+    colours = page.eval_on_selector_all(".rhec-legend span", colours)
+    assert colours[:2] == ["rgb(0, 0, 255)", "rgb(255, 0, 0)"] and len({*colours}) == 3
+    every = drawn()
+    entries.nth(2).click()
+    assert drawn() == every | dict(error=every["error"][:2])
+    assert entries.nth(2).get_attribute("aria-pressed") == "false"
+    entries.nth(2).click()
+    assert drawn() == every and entries.nth(2).get_attribute("aria-pressed") == "true"
+    words = ".rhec-status, .rhec-line, .rhec-metrics"
+    assert page.locator(words).all_inner_texts() == ["ready", "rhec", "1"]
+    page.locator("canvas").nth(1).hover()
+    page.evaluate("state.picture.panels.b.marks[2].note = 'of two', told()")
+    assert "RHE of two" in page.inner_text("canvas[aria-label=error] ~ .view-words")
+    # What is new is shown, and what is not stays as it is.
+    page.evaluate("canvas = document.querySelector('canvas')")
+    page.evaluate("state.status = 'busy', state.line = 'new', state.table = 'no', told()")
+    assert page.locator(words).all_inner_texts() == ["busy", "new", "no"]
+    assert page.evaluate("canvas.isConnected")
+    page.evaluate(
+        "state.picture.layout = ['a', 'b'], state.picture.panels.a.title = 'soil', told()"
+    )
+    assert page.locator("figcaption").all_inner_texts() == ["soil", "error"]
+    places = [canvas.bounding_box() for canvas in page.locator("canvas").all()]
+    assert places[0]["x"] == places[1]["x"] and places[0]["y"] < places[1]["y"]
 
 
 def test_a_dragged_slider_ends_at_its_last_value(explorer):

@@ -173,7 +173,20 @@ def test_claims_are_filtered_and_searched_and_a_link_shows_its_card(offline):
     page.fill("input[name=words]", "")
     page.select_option("select[name=verdict]", "does not hold")
     assert {"I2", "M12"} <= set(shown(page)) < set(every)
+    refuted = shown(page)
     page.evaluate("location.hash = 'B1'")  # which holds, and was hidden
+    wait_until(page, "document.getElementById('B1').checkVisibility()")
+    assert shown(page) == every
+    unfolded = "[...document.querySelectorAll('.claim details[open]')].map(e => e.parentElement.id)"
+    assert page.evaluate(unfolded) == ["B1"]
+    # The bar of verdicts leads here with one of them; a button unfolds what is shown.
+    page.goto((REPORT / "claims.html").as_uri() + "?verdict=does+not+hold")
+    assert shown(page) == refuted
+    for word, expected in (("Fold", refuted), ("Unfold", [])):
+        page.click("button[name=unfold]")
+        assert page.inner_text("button[name=unfold]") == word
+        assert page.evaluate(unfolded) == expected
+    page.click("button[type=reset]")
     wait_until(page, "document.getElementById('B1').checkVisibility()")
     assert shown(page) == every
 
