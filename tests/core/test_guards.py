@@ -74,8 +74,7 @@ def found(robot, fault="none", when="later", judge=table.ANY):
     return drives, *table.run(table.ROBOTS[robot].estimators(judge)["RHE"], drives)
 
 
-# Of those that jump one: they differ in speed alone.
-ROBOTS = ["paper, printed", "paper, consistent", "bicycle", "unicycle", "jumping unicycle, 2 m/s"]
+ROBOTS = ["paper, printed", "paper, consistent", "bicycle", "unicycle"]
 UP_TO_THREE = [name for name in table.WILD if name[0] in "123" and name[1] == " "]
 
 
