@@ -40,6 +40,7 @@ def test_no_fault_costs_the_rhe_more_than_the_ekf_on_many_drives(case):
     assert_kept(case, NIGHTLY_DRIVES, table.KNOWN.get(case, {}))
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("robot", ["paper, printed", "paper, consistent"])
 def test_rtk_that_falls_to_float_costs_the_rhe_no_more_than_the_ekf(robot):
     """Many of these samples agree by chance, so that few are rejected in a row."""

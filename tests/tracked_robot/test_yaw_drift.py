@@ -156,7 +156,7 @@ PAIRS = {
 }
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("name", PAIRS)
 def test_the_controller_cancels_the_drift(name):
     """A standing offset to the path without it is gone with it."""
