@@ -200,18 +200,16 @@ KINDS = {
     "bicycle": BICYCLE,
     "unicycle": UNICYCLE,
     "paper": Kind(unicycle, {}, speed=0.5, change=0.0),
-    "jumping bicycle, 2 m/s": BICYCLE._replace(
-        speed=2.0, turn=jumping(0.5), sigma_held={"turn": 1.0}, **FINE
-    ),
-    "jumping bicycle, 3 m/s": BICYCLE._replace(
-        speed=3.0, turn=jumping(0.5), sigma_held={"turn": 1.0}, **FINE
-    ),
-    "jumping bicycle, 4 m/s": BICYCLE._replace(
-        speed=4.0, turn=jumping(0.3), sigma_held={"turn": 0.6}, **FINE
-    ),
-    "jumping unicycle, 2 m/s": UNICYCLE._replace(
-        speed=2.0, turn=jumping(3.0), sigma_held={"turn": 6.0}, **FINE
-    ),
+} | {
+    f"jumping {name}, {speed:g} m/s": robot._replace(
+        speed=speed, turn=jumping(size), sigma_held={"turn": 2 * size}, **FINE
+    )
+    for name, robot, speed, size in (
+        ("bicycle", BICYCLE, 2.0, 0.5),
+        ("bicycle", BICYCLE, 3.0, 0.5),
+        ("bicycle", BICYCLE, 4.0, 0.3),
+        ("unicycle", UNICYCLE, 2.0, 3.0),
+    )
 }
 TURNED = "turned round"
 STANDS = "stands 26 s"

@@ -135,7 +135,7 @@ class RHE(rhe.RHE):
         window = window_of(Choice.of(given)._replace(dt_s=dt))
         self._guess = guess
         self._rows_of_yaws = rows_of_yaws(sensors)
-        self._load(rhe.build_phases, window, settings_of(given, dt))
+        self._load(rhe.build_live_phases, window, settings_of(given, dt))
 
     def _start(self):
         z = self._inputs["z"]

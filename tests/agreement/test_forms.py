@@ -127,7 +127,7 @@ def driven_by_yaw_rate():
 FORMS = (virtual_machine, live, in_lanes, in_c)
 # {loop: its forms in the quick tests}; tests/simulation/test_lanes.py runs more loops in lanes.
 ALWAYS = {
-    "rhe": (live, in_lanes),
+    "rhe": (live,),
     "sensors and faults": (virtual_machine, live, in_lanes),
     "yaw drift with a gyro": (live, in_c),
     "everything else": (virtual_machine, in_c),

@@ -5,6 +5,7 @@ import pytest
 
 import rhec
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 CART = rhec.Model(
     states=("x", "v"),
     inputs=("u",),

@@ -22,10 +22,13 @@ SEARCH = line_search("search", dict(w=(N, 1)), dict(H=(N, N), A=(CONDITIONS, N))
 
 @pytest.mark.parametrize("far", [0.1, 1.0, 3.0])
 def test_the_first_length_at_which_the_merit_falls_enough_is_taken(far):
-    """φ(w + α Δw) <= φ(w) + 1e-4 α D, of 1, 1/2, 1/4, …, and none where none is good enough."""
+    """φ(w + α Δw) <= φ(w) + 1e-4 α D, of 1, 1/2, 1/4, …, and none where none is good enough.
+
+    Whatever φ is, the whole step is taken where |D| has fallen below 0.9 of the least so far.
+    """
     rng = np.random.default_rng(0)
     taken = []
-    for _ in range(200):
+    for _ in range(80):
         root = rng.normal(size=(N, N))
         H, A = root @ root.T + 0.1 * np.eye(N), rng.normal(size=(CONDITIONS, N))
         w = rng.normal(size=N)
@@ -47,4 +50,10 @@ def test_the_first_length_at_which_the_merit_falls_enough_is_taken(far):
         np.testing.assert_allclose(found["w"].full().ravel(), w + expected * step, rtol=1e-12)
         assert found["is_full"] == (expected == 1)
         taken.append(expected)
+        for share, is_full in ((0.85, True), (0.95, expected == 1)):
+            least = -descent / share
+            again = SEARCH(**given | dict(penalty=[0.5, least]))
+            assert again["is_full"] == is_full
+            least_after = -descent if share < 0.9 else least
+            assert float(again["penalty_after"][1]) == pytest.approx(least_after, rel=1e-9)
     assert len({*taken}) >= 2

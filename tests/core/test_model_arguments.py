@@ -40,8 +40,9 @@ def test_a_model_that_only_a_controller_sees_needs_no_outputs(virtual_machine):
     assert short.step((1, 0)) == expected
 
 
-@pytest.mark.parametrize("bounds", [None, dict(x=(0.0, 5.0))])
-@pytest.mark.parametrize("noise_in_window", [False, True])
+@pytest.mark.parametrize(
+    "bounds, noise_in_window", [(None, True), (dict(x=(0.0, 5.0)), False)], ids=str
+)
 def test_an_estimator_of_a_model_without_inputs(virtual_machine, bounds, noise_in_window):
     """Decay with an unknown rate: as the EKF finds it, within the noise."""
     model = rhec.Model(

@@ -679,6 +679,16 @@ def build_phases(window):
     return phases | dict(step=_build_step(phases, window.memory, symbols))
 
 
+def build_live_phases(window):
+    """The phases of a live object, which runs one after the other and needs no `step`.
+
+    Where there is no compiler `step` repeats them all, which would take a fifth of the set-up.
+    """
+    phases, _ = _build_judged_phases(window)
+    phases.pop(ITERATED, None)
+    return phases
+
+
 def _build_judged_phases(window):
     """The phases with those of the judge, and the symbols of Functions that call them.
 
@@ -698,11 +708,11 @@ def _build_judged_phases(window):
 
 
 def build_solvable(window):
-    """The phases, and `improve`, by which `solve` iterates with a line search."""
-    phases, symbols = _build_judged_phases(window)
+    """The phases of a live object, and `improve`: by a line search `solve` iterates."""
+    phases, _ = _build_judged_phases(window)
     improve = _build_improve(window, phases)
     phases.pop(ITERATED, None)
-    return phases | dict(step=_build_step(phases, window.memory, symbols)) | {IMPROVE: improve}
+    return phases | {IMPROVE: improve}
 
 
 # Improve: one iteration without shift, for `solve`.
@@ -907,7 +917,7 @@ class RHE(RealTimeLoop):
         """Load the compiled phases `build(window)`, and name views of their arrays.
 
         Args:
-            build: `build_phases` or `build_solvable`.
+            build: `build_live_phases` or `build_solvable`.
             window: The Window.
             settings: {name: array} of the variances V, W, P_0, and what else the phases take.
         """
