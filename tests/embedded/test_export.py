@@ -133,6 +133,17 @@ def test_a_rejected_yaw_rate_is_no_reference_as_a_missing_one_is_none(robot, mea
     np.testing.assert_allclose(commands[0], commands[1], rtol=0, atol=TOLERANCE)
 
 
+@needs_compiler
+def test_an_estimator_that_rejects_nothing_gives_the_path_each_valid_yaw_rate(exported, measured):
+    """The first estimate is the same whatever the yaw rate, and the command before it is 0."""
+    robot = InC(exported("EKF"))
+    commands = []
+    for omega in (0.0, np.nan, 1e9, 0.02):
+        robot.begin()
+        commands.append(robot.step([*measured[0, :3], omega])[1])
+    assert commands[0] == commands[1] == commands[2] != commands[3]
+
+
 @pytest.mark.nightly
 def test_times_has_a_row_of_four_phases_for_each_sample_after_the_first(exported, built):
     machine, objects = built("paper")

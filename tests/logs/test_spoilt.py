@@ -54,7 +54,7 @@ def test_a_bag_with_an_imu_is_calibrated():
     assert "noise of the gyro" in found.report.index
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("offset_s", [18, -60, 37])
 def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
     spoilt = in_rows_of_their_own(STOPS, offset_s)
@@ -108,7 +108,8 @@ def test_a_delay_that_is_told_is_made_up_for():
     np.testing.assert_allclose(told[ESTIMATE][whole], fresh[ESTIMATE][whole], atol=1e-6)
 
 
-@pytest.mark.parametrize("silence_s", [5.0, 60.0])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("silence_s", [60.0, 5.0])
 def test_a_silence_keeps_the_traction_and_the_yaw(silence_s):
     """While the robot stands the log is off: after it, nothing begins anew."""
     stands = EXAMPLE.query("segment == 0 and 33.9 < t_s < 34.6").index

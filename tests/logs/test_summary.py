@@ -253,13 +253,13 @@ def parameters(slope):
 
 def test_round_numbers_and_unknown_ones_are_what_ros_reads():
     """A track 1 m wide, and a traction that is not known; each noise is of its own velocity."""
-    noise = terms.Noise((0.0, 1.0, 2.0), (1e-9, 1.0, 10.0))
+    noise = terms.Noise((0.0, 1 / 3, 2.0), (1e-9, 1.0, 10.0))
     round_one = terms.Slope(1.0, 0.0)
     table = parameters(round_one)
     told = read_as_ros(terms.as_yaml(table, 1.0, noise, 10.0))
     driver, node = told["diff_drive_controller"], told["ekf_filter_node"]
     assert driver["wheel_separation"] == 1.0
-    assert np.take(driver["twist_covariance_diagonal"], [0, 1, 5]).tolist() == [0.0, 10.0, 20.0]
+    assert np.take(driver["twist_covariance_diagonal"], [0, 1, 5]).tolist() == [0.0, 3.3333, 20.0]
     variances = dict(zip(STATE_OF_ROS.split(), node["process_noise_covariance"][::16]))
     assert [variances[name] for name in ("vx", "vy", "vyaw")] == [1e-9, 1.0, 10.0]
     assert max(variances[name] for name in ("x", "y", "yaw")) < 1e-5
