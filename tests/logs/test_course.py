@@ -78,12 +78,6 @@ def test_a_robot_that_does_not_slip_is_not_doubted(seed, noise_m, arm_m):
     assert (result["sigma_by_course_rad"] == 0)[log["t_s"] > 30].mean() > 0.9
 
 
-def test_noise_of_positions_is_no_side_slip():
-    log = recorded_log(5.0, 120.0, noise_m=0.3, seed=4)
-    result = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
-    assert (result["sigma_by_course_rad"] == 0).mean() > 0.8
-
-
 @may_be_unsure
 def test_a_heading_is_believed_on_ice():
     log = on_ice(2.0, 21, duration_s=60.0).assign(heading_rad=lambda each: each["yaw_true_rad"])

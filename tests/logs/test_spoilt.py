@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
-from spoilt_logs import in_rows_of_their_own, late
+from spoilt_logs import late
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
@@ -52,22 +52,6 @@ def test_rows_of_other_sensors_do_not_shorten_the_drive():
 def test_a_bag_with_an_imu_is_calibrated():
     found = rhec.calibrate(with_imu(LOG[:300], 30.0), trust_log=True)
     assert "noise of the gyro" in found.report.index
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("offset_s", [18, -60, 37])
-def test_positions_by_another_clock_are_used_with_its_offset(offset_s):
-    spoilt = in_rows_of_their_own(STOPS, offset_s)
-    with pytest.raises(ValueError, match=f"position_delay_s={offset_s} corrects this$"):
-        rhec.replay(spoilt)
-    told = rhec.replay(spoilt, position_delay_s=offset_s, first_yaw_rad=0.4)
-    assert told["kappa_hat"].iloc[-1] == pytest.approx(0.75, abs=0.05)
-
-
-def test_two_files_pasted_together_are_two_drives():
-    again = LOG.assign(x_m=LOG["x_m"] + 20.0)
-    pasted = pd.concat([LOG, again], ignore_index=True)
-    assert rhec.replay(pasted, trust_log=True)["segment"].nunique() == 2
 
 
 @pytest.mark.usefixtures("without_a_search")
@@ -124,11 +108,3 @@ def test_a_silence_keeps_the_traction_and_the_yaw(silence_s):
     error = yaw_error(result)
     assert abs(error.iloc[len(before) + 2]) < 2 * first["sigma_theta_rad"]
     assert error.iloc[-50:].abs().max() < 0.1
-
-
-def test_missing_positions_leave_the_yaw_to_the_encoders():
-    log = EXAMPLE[EXAMPLE["segment"] == 0].reset_index(drop=True)
-    log.loc[log["t_s"].between(40, 50), ["x_m", "y_m"]] = np.nan
-    result = rhec.replay(log, first_yaw_rad=0.4)
-    gap = result[result["t_s"].between(40, 52)]
-    assert yaw_error(gap).abs().max() < 0.15 and gap["kappa_hat"].std() < 0.02

@@ -132,14 +132,6 @@ def test_a_log_without_turns_does_not_tell_kappa():
     assert verdict.startswith("Cannot tell yet: κ is not excited: drive two figures of eight")
 
 
-@pytest.mark.nightly
-def test_positions_that_contradict_the_encoders_are_not_trusted():
-    """They come from another drive, so that no yaw explains them."""
-    other = recorded_log(5.0, 75.0, start_rad=2.0, noise_m=0.02, seed=4)
-    mixed = LOG.assign(x_m=other["y_m"].to_numpy()[::-1], y_m=other["x_m"].to_numpy()[::-1])
-    assert rhec.log(mixed, trust_log=True).verdict.startswith("Do not trust it yet")
-
-
 def test_tracks_that_slip_more_than_the_noise_says_widen_what_is_said():
     """Slip that comes and goes shows where positions are hidden."""
     log = recorded_log(5.0, 120.0, noise_m=0.02, seed=3)
