@@ -102,7 +102,7 @@ def test_operations_are_counted_through_calls_branches_and_loops():
     long = ca.Function("long", [x], [ca.sin(x) * x + ca.cos(x)])
     assert operations(long) > operations(short) > 0
     for one, other in ((short, long), (long, short)):
-        assert operations(ca.Function.conditional("either", one, other)) == operations(long)
+        assert operations(ca.Function.conditional("either", [one], other)) == operations(long)
     assert operations(long.map(7)) == 7 * operations(long)
     y = ca.MX.sym("y")
     twice = ca.Function("twice", [y], [long(long(y))])
