@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from helpers import KAPPA, MU, four_headings, recorded_log
+from helpers import KAPPA, MU, recorded_log
+from spoilt_logs import four_headings
 from written_bags import START_NS, fix, imu, odometry, write_bag
 
 import rhec
