@@ -18,7 +18,6 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.build import select_inputs
 from rhec.core.controller import rhc
 from rhec.core.estimator import rhe
-from rhec.logs import replay
 from rhec.tracked_robot.estimators import Choice
 
 # Without the copies that JupyterLab keeps of those that were opened in it.
@@ -177,15 +176,6 @@ def with_noise(z, seed=0, scale=1.0):
 
 
 # Recorded logs
-
-
-@contextlib.contextmanager
-def four_headings():
-    """A yaw that is not known is tried in four directions: eight take twice as long."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replay, "N_HEADINGS", 4)
-        yield
-
 
 MU, KAPPA, TRACK_WIDTH_M = 0.9, 0.75, 0.5
 

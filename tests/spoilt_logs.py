@@ -1,7 +1,12 @@
-"""What several tests of logs do to a log."""
+"""What several tests of logs do to a log, and to how it is replayed."""
+
+import contextlib
 
 import numpy as np
 import pandas as pd
+import pytest
+
+from rhec.logs import replay
 
 
 def in_rows_of_their_own(log, offset_s=0.0):
@@ -27,3 +32,11 @@ def another_future(log, from_s, generator):
         later.loc[generator.random(len(later)) < 0.2, name] = np.nan
     later["t_s"] += generator.uniform(0, 0.03, len(later))
     return pd.concat([log[log["t_s"] <= from_s], later[generator.random(len(later)) < 0.9]])
+
+
+@contextlib.contextmanager
+def four_headings():
+    """A yaw that is not known is tried in four directions: eight take twice as long."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(replay, "N_HEADINGS", 4)
+        yield

@@ -133,6 +133,17 @@ def test_a_rejected_yaw_rate_is_no_reference_as_a_missing_one_is_none(robot, mea
     np.testing.assert_allclose(commands[0], commands[1], rtol=0, atol=TOLERANCE)
 
 
+@needs_compiler
+def test_an_estimator_that_rejects_nothing_gives_the_path_each_valid_yaw_rate(exported, measured):
+    """The first estimate is the same whatever the yaw rate, and the command before it is 0."""
+    robot = InC(exported("EKF"))
+    commands = []
+    for omega in (0.0, np.nan, 1e9, 0.02):
+        robot.begin()
+        commands.append(robot.step([*measured[0, :3], omega])[1])
+    assert commands[0] == commands[1] == commands[2] != commands[3]
+
+
 @pytest.mark.nightly
 def test_times_has_a_row_of_four_phases_for_each_sample_after_the_first(exported, built):
     machine, objects = built("paper")
@@ -300,19 +311,29 @@ def test_answers_are_bounded_while_fuzzing(exported, built):
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
-@pytest.mark.nightly
 @needs_compiler
-def test_fuzzing_detects_a_command_out_of_bounds(exported, tmp_path):
-    broken = tmp_path / "broken"
-    shutil.copytree(exported("EKF"), broken)
-    source = (broken / "rhec.c").read_text()
-    wrong = source.replace("*omega = r->omega[0];", "*omega = 1.001 * r->omega[0];")
-    (broken / "rhec.c").write_text(wrong)
-    machine = toolchain.this_machine()
-    objects = toolchain.library(machine, broken, tmp_path, QUICKLY)
-    program = toolchain.program(machine, broken, "fuzz", objects)
+def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path):
+    """A command out of bounds, an estimate that is no number, and one that is wrong by a metre."""
+    folder = exported("EKF")
+    machine, (_, scenario) = built("EKF")
+    text = (folder / "rhec.c").read_text()
+    commanded = "*omega = r->omega[0];"
+    estimated = "memcpy(estimate, r->estimate, sizeof r->estimate);"
+
+    def fuzzed(right, wrong):
+        assert right in text
+        (tmp_path / "rhec.c").write_text(text.replace(right, wrong))
+        sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
+        command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
+        subprocess.run([*command, "-o", tmp_path / "fuzz"], cwd=tmp_path, check=True)
+        return toolchain.nonsense(machine, tmp_path / "fuzz", 1500).iloc[0]
+
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
-        toolchain.nonsense(machine, program, 3000)
+        fuzzed(commanded, "*omega = 1.001 * r->omega[0];")
+    with pytest.raises(RuntimeError, match="^fuzz failed: estimate 5 was -?inf$"):
+        fuzzed(estimated, f"{estimated} estimate[5] *= 1e308 * 10;")
+    off = fuzzed(estimated, f"{estimated} estimate[0] += 1.0;")
+    assert off["still_lost"] == off["storms"] >= off["unnoticed"] > 0.5 * off["storms"]
 
 
 @needs_compiler

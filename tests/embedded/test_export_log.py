@@ -2,6 +2,7 @@
 
 import subprocess
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,9 +11,8 @@ from helpers import recorded_log
 import rhec
 from notebooks.studies import toolchain
 from rhec.embedded.exported_functions import operations
-from rhec.embedded.recorded import build_move, example_of
+from rhec.embedded.recorded import example_of
 from rhec.logs.recording import prepare
-from rhec.logs.replay import replay_of
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM
 
 
@@ -95,11 +95,18 @@ def test_an_example_begins_at_the_first_position(summary):
     assert (example["x_meas_m_age_s"] > 0).any()
 
 
-def test_operations_are_counted_through_all_calls(summary):
-    """Of a Function that calls another one they are those of both."""
-    move = build_move(replay_of(summary.judged.scenario).window)
-    inner = sum(operations(each) for each in move.find_functions(0))
-    assert operations(move) > inner > 50
+def test_operations_are_counted_through_calls_branches_and_loops():
+    """Of branches the longest counts, and a loop counts as often as it runs."""
+    x = ca.SX.sym("x")
+    short = ca.Function("short", [x], [x + 1])
+    long = ca.Function("long", [x], [ca.sin(x) * x + ca.cos(x)])
+    assert operations(long) > operations(short) > 0
+    for one, other in ((short, long), (long, short)):
+        assert operations(ca.Function.conditional("either", [one], other)) == operations(long)
+    assert operations(long.map(7)) == 7 * operations(long)
+    y = ca.MX.sym("y")
+    twice = ca.Function("twice", [y], [long(long(y))])
+    assert operations(twice) == 2 * operations(long) + 2  # an input and an output
 
 
 def test_an_estimator_alone_has_no_controller(tmp_path):

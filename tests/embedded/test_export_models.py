@@ -108,7 +108,7 @@ def not_commanded():
 CASES = (constrained, alone, stiff, without_slopes, not_commanded)
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("make", CASES)
 def test_an_estimator_or_a_controller_alone_answers_as_in_python(make, tmp_path):

@@ -50,7 +50,7 @@ def yaw_error(estimates):
     return ((difference + np.pi) % (2 * np.pi) - np.pi).abs()
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("follows_s, seed", [(2.0, 21), (1.0, 20), (4.0, 22)])
 def test_on_ice_a_wrong_yaw_is_an_uncertain_one(follows_s, seed, smooth):
@@ -64,7 +64,7 @@ def test_on_ice_a_wrong_yaw_is_an_uncertain_one(follows_s, seed, smooth):
 
 
 @may_be_unsure  # before the antenna's place is known
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("noise_m", [0.003, 0.03])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("arm_m", [(0.3, -0.1), (0.0, 0.0)])
@@ -78,15 +78,9 @@ def test_a_robot_that_does_not_slip_is_not_doubted(seed, noise_m, arm_m):
     assert (result["sigma_by_course_rad"] == 0)[log["t_s"] > 30].mean() > 0.9
 
 
-def test_noise_of_positions_is_no_side_slip():
-    log = recorded_log(5.0, 120.0, noise_m=0.3, seed=4)
-    result = rhec.replay(log, first_yaw_rad=0.4, smooth=False)
-    assert (result["sigma_by_course_rad"] == 0).mean() > 0.8
-
-
 @may_be_unsure
 def test_a_heading_is_believed_on_ice():
-    log = on_ice(2.0, 21, duration_s=120.0).assign(heading_rad=lambda each: each["yaw_true_rad"])
+    log = on_ice(2.0, 21, duration_s=60.0).assign(heading_rad=lambda each: each["yaw_true_rad"])
     result = rhec.replay(log, trust_log=True, smooth=False)
     assert (result["sigma_by_course_rad"] == 0).all()
     assert yaw_error(result).max() < 0.5
@@ -191,7 +185,7 @@ def test_some_outliers_are_no_side_slip():
 
 @may_be_unsure
 def test_what_comes_later_changes_no_sigma():
-    log = on_ice(2.0, 23, 120.0)
+    log = on_ice(2.0, 23, 80.0)
     given = dict(first_yaw_rad=0.3, smooth=False, trust_log=True)
     whole = rhec.replay(log, **given)["sigma_theta_rad"]
     part = rhec.replay(log[:400], **given)["sigma_theta_rad"]

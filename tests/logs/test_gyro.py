@@ -57,7 +57,8 @@ def test_a_gyro_makes_the_yaw_better(with_a_good_one, without):
     assert with_a_good_one < 0.8 * without
 
 
-@pytest.mark.parametrize("scale, bias", [(1.0, 0.05), (1.05, 0.0), (0.95, -0.05)])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("scale, bias", [(0.95, -0.05), (1.0, 0.05), (1.05, 0.0)])
 def test_bias_and_scale_of_a_gyro_are_estimated(scale, bias, with_a_good_one):
     result = rhec.replay(with_gyro(scale, bias), **START)
     last = result.iloc[-1]
@@ -78,15 +79,10 @@ def test_a_window_that_restarts_keeps_a_gyro_of_scale_one():
     assert result["gyro_scale_hat"].between(0.95, 1.05).all()
 
 
-def test_a_gyro_that_falls_silent_leaves_the_encoders(with_a_good_one, without):
-    log = with_gyro()
-    log.loc[log["t_s"].between(30, 90), "gyro_radps"] = np.nan
-    assert with_a_good_one < yaw_rms(log) < 1.2 * without
-
-
 @may_be_unsure
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize(
-    "kind, begin_s", [("dead", 30.0), ("stuck", 63.0), ("wild", 30.0), ("silent", 63.0)]
+    "kind, begin_s", [("stuck", 63.0), ("wild", 30.0), ("dead", 30.0), ("silent", 63.0)]
 )
 def test_a_gyro_that_fails_in_mid_log_is_left_out(kind, begin_s, without):
     """It costs hardly more than to have no gyro."""
@@ -129,7 +125,8 @@ def test_a_gyro_carries_the_yaw_where_positions_are_missing():
     assert errors[0][gap].mean() < 0.2 * errors[1][gap].mean()
 
 
-@pytest.mark.parametrize("start_rad", [-3.0, 0.4, 3.0])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("start_rad", [3.0, 0.4, -3.0])
 def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
     """Also where it jumps by full turns, and without a guess of the first yaw."""
     log = with_heading(log=recorded_log(5.0, 60.0, start_rad=start_rad, noise_m=0.05))

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from helpers import four_headings, recorded_log
+from helpers import recorded_log
+from spoilt_logs import four_headings
 
 import rhec
 from notebooks.further.recorded import verdicts

@@ -109,12 +109,6 @@ def test_the_columns_of_a_recording_that_is_not_run_fit_its_documented_topics(tm
     np.testing.assert_array_equal(log[columns], [[1, 2, 0.5, 0.1]] * 5)
 
 
-def test_columns_that_are_not_run_name_documented_topics():
-    for source in fetch_recordings.RECORDINGS.values():
-        for path in source.get("columns", {}).values():
-            assert path.partition(".")[0] in source["topics"]
-
-
 # Conversion: a robot whose speed and yaw rate swing, its poses 0.3 s late, its encoders 0.1 s
 
 LATE, R_M, B_M = dict(pose_late_s=0.3, encoders_late_s=0.1), 0.2, 0.6

@@ -76,7 +76,8 @@ def delayed_replay(delay_s, told_s):
     return errors(result[result["t_s"] > 20])[1], result["x_meas_m"].notna().sum()
 
 
-@pytest.mark.parametrize("delay_s", [0.1, 0.25, -0.1])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("delay_s", [0.25, 0.1, -0.1])
 def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
     error, positions = delayed_replay(delay_s, delay_s)
     without, all_positions = delayed_replay(0.0, 0.0)
