@@ -28,7 +28,7 @@ WRITER = """
 import sys
 from rhec.files import replacing
 
-for _ in range(100):
+for _ in range(40):
     with replacing(sys.argv[1]) as file:
         file.write(sys.argv[2].encode() * 100_000)
         file.write(sys.argv[2].encode() * 100_000)
@@ -74,8 +74,7 @@ WRITERS = {
     "estimates": lambda to, n: write_estimates(n * TABLE, to),
     "rows": lambda to, n: store.save_rows(to, {"a": dict(error="", mean_error_m=float(n))}),
     "run": lambda to, n: by_command(
-        *f"simulate --duration-s 2 --seed {n} --overwrite".split(),
-        *("--log", to / "run.csv", "--plot", to / "run.png"),
+        *f"simulate --duration-s 2 --seed {n} --overwrite --log".split(), to / "run.csv"
     ),
     "campaign": lambda to, n: by_command(*CAMPAIGN, to, "-p", "r", n),
 }
@@ -126,8 +125,7 @@ def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path,
         versions.append(contents(folder))
     old, new = versions
     assert len(done) >= 3 and all(old.get(file) != content for file, content in new.items())
-    tried = 3 if what == "run" else 6  # a picture of a run takes long
-    for place, fails_at in enumerate({*np.linspace(1, len(done), tried).astype(int)}):
+    for place, fails_at in enumerate({*np.linspace(1, len(done), 6).astype(int)}):
         folder = tmp_path / f"fails at {fails_at}"
         shutil.copytree(tmp_path / "1", folder)
         error = (FULL, KeyboardInterrupt)[place % 2]
@@ -176,12 +174,12 @@ def test_nothing_that_others_put_beside_it_is_written_to(tmp_path):
 def test_what_several_processes_write_to_one_file_is_whole(tmp_path):
     file = tmp_path / "log.csv"
     file.write_bytes(bytes(200_000))
-    commands = [[sys.executable, "-c", WRITER, str(file), letter] for letter in "abc"]
+    commands = [[sys.executable, "-c", WRITER, str(file), letter] for letter in "ab"]
     writers = [subprocess.Popen(command, cwd=ROOT) for command in commands]
     reads = 0
     while any(writer.poll() is None for writer in writers):
         content = file.read_bytes()
         assert len(content) == 200_000 and len({*content}) == 1
         reads += 1
-    assert reads > 3 and [writer.returncode for writer in writers] == [0, 0, 0]
+    assert reads > 3 and [writer.returncode for writer in writers] == [0, 0]
     assert list(tmp_path.iterdir()) == [file]
