@@ -39,20 +39,6 @@ def no_compiler():
         yield
 
 
-class Untraceable(rhec.Path):
-    """A path on which every run fails."""
-
-    # A Scenario reads the path's poses; only a run projects on it.
-    def project(self, xy):
-        raise ValueError("this path cannot be traced")
-
-
-def untraceable():
-    """A path that a Scenario takes and that no run can follow."""
-    track = rhec.Path.racetrack(30.0, 7.8)
-    return Untraceable(track.segments, track.length_m, True)
-
-
 def assert_refused(make, rows):
     """Each row is refused in one sentence: (arguments or options, how it begins).
 

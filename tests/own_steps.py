@@ -1,4 +1,11 @@
-"""Steps of estimators and controllers of one's own, as Functions."""
+"""Steps of estimators and controllers of one's own, as Functions, and paths that end a run.
+
+Worker processes import it, so it imports little.
+"""
+
+import dataclasses
+import os
+import signal
 
 import casadi as ca
 
@@ -46,3 +53,43 @@ def dead_reckoning(sensors=("gyro",), **options):
         "by_gyro", [*given.values()], [*results.values()], [*given], [*results], NAMED
     )
     return rhec.Estimator(step, sensors=sensors, **options)
+
+
+# Paths, and what is read of a run
+
+TRACK = rhec.Path.racetrack(30.0, 7.8)
+
+
+class Untraceable(rhec.Path):
+    """A path on which every run fails."""
+
+    # A Scenario reads the path's poses; only a run projects on it.
+    def project(self, xy):
+        raise ValueError("this path cannot be traced")
+
+
+@dataclasses.dataclass(frozen=True)
+class Lethal(rhec.Path):
+    """A path that kills every process but its own."""
+
+    home: int = 0
+
+    def poses(self, s):
+        if os.getpid() != self.home:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().poses(s)
+
+
+def untraceable():
+    """A path that a Scenario takes and that no run can follow."""
+    return Untraceable(TRACK.segments, TRACK.length_m, True)
+
+
+def lethal():
+    """A path that only this process can follow."""
+    return Lethal(TRACK.segments, TRACK.length_m, True, home=os.getpid())
+
+
+def largest_error_m(run):
+    """A reading of a run."""
+    return run.columns["error_true_m"].max()

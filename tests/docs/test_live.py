@@ -215,7 +215,8 @@ def taken_apart():
 
 def test_the_story_finds_the_window_in_the_loops_memory(taken_apart, monkeypatch):
     monkeypatch.setattr(wasm, "module_of", lambda text: b"")
-    _, setup, memory, *_ = taken_apart
+    built, setup, memory, *_ = taken_apart
+    monkeypatch.setattr(window, "build_tools", lambda scenario: built)
     tools = page._tools()
     np.testing.assert_array_equal(setup.memory[tools["first"] :][: len(memory)], memory)
     pieces = setup.unpack(setup.memory)["estimator"]

@@ -239,6 +239,25 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
                 found = [each[1:] for each in panels[panel]]
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
+    # The figure that is saved has the same lines and dots.
+    figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
+    saved = {axes.get_title("left"): axes.get_lines() for axes in figure.axes}
+    for name, panel in made.screen.picture["panels"].items():
+        shown = [(x, y) for mark, x, y in panels[name] if mark["kind"] in ("line", "dots")]
+        for line, (x, y) in zip(saved[panel["title"]], shown, strict=True):
+            np.testing.assert_array_equal(np.float32(line.get_data()), [x, y], panel["title"])
+
+
+def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it():
+    path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
+    run = rhec.simulate(replace(SHORT, path=path, duration_s=2.0))
+    panel = field_run.picture_of([run], zoom="first row").panels["map"]
+    ends = path.poses([0.0, 20.0])[0]
+    for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):
+        assert low < min(at) and max(at) < high
+    (band,) = [mark for mark in panel.marks if mark.kind == "area"]
+    distance, _ = path.project(np.column_stack([band.x, band.y]))
+    np.testing.assert_allclose(distance, paper.TOLERANCE_M)
 
 
 @pytest.mark.parametrize("zoom", field_run.ZOOMS)
@@ -450,5 +469,7 @@ def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     )
     rhec.Explorer(SHORT)
     assert optimised == []
+    said = []
+    monkeypatch.setattr(made, "_show_status", lambda text, *kind: said.append(text))
     made.inputs["r"].value = 20.0
-    assert optimised == [2]
+    assert optimised == [2] and not [text for text in said if "compiling" in text]

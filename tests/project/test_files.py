@@ -28,7 +28,7 @@ WRITER = """
 import sys
 from rhec.files import replacing
 
-for _ in range(100):
+for _ in range(40):
     with replacing(sys.argv[1]) as file:
         file.write(sys.argv[2].encode() * 100_000)
         file.write(sys.argv[2].encode() * 100_000)
@@ -86,8 +86,8 @@ def disk(fails_at=np.inf, error=None):
     """A context with a disk whose operation of this number fails, and on a full one all later."""
     done = []
 
-    def operate():
-        done.append(error)
+    def operate(file=None):
+        done.append(file)
         if len(done) == fails_at or len(done) > fails_at and error is FULL:
             raise error
 
@@ -101,7 +101,7 @@ def disk(fails_at=np.inf, error=None):
         return io.BufferedWriter(Raw(file, mode))
 
     def replace(self, file, replaced=Path.replace):
-        operate()
+        operate(file)
         return replaced(self, file)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -115,8 +115,10 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("what", WRITERS)
-def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path, virtual_machine):
+@pytest.mark.usefixtures("virtual_machine")
+def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path, monkeypatch):
     """Whichever operation it is, on a full disk or by Ctrl-C; the next call writes all of it."""
+    monkeypatch.setattr(rhec.Run, "plot", lambda run: Figure(figsize=(run.scenario.seed, 1)))
     write, versions = WRITERS[what], []
     for n in (1, 2):
         folder = tmp_path / f"{n}"
@@ -125,9 +127,9 @@ def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path,
             write(folder, n)
         versions.append(contents(folder))
     old, new = versions
-    assert len(done) >= 3 and all(old.get(file) != content for file, content in new.items())
-    tried = 3 if what == "run" else 6  # a picture of a run takes long
-    for place, fails_at in enumerate({*np.linspace(1, len(done), tried).astype(int)}):
+    assert {folder / file for file in new} <= {*done}  # nothing is written in another way
+    assert all(old.get(file) != content for file, content in new.items())
+    for place, fails_at in enumerate({*np.linspace(1, len(done), 6).astype(int)}):
         folder = tmp_path / f"fails at {fails_at}"
         shutil.copytree(tmp_path / "1", folder)
         error = (FULL, KeyboardInterrupt)[place % 2]
@@ -176,12 +178,12 @@ def test_nothing_that_others_put_beside_it_is_written_to(tmp_path):
 def test_what_several_processes_write_to_one_file_is_whole(tmp_path):
     file = tmp_path / "log.csv"
     file.write_bytes(bytes(200_000))
-    commands = [[sys.executable, "-c", WRITER, str(file), letter] for letter in "abc"]
+    commands = [[sys.executable, "-c", WRITER, str(file), letter] for letter in "ab"]
     writers = [subprocess.Popen(command, cwd=ROOT) for command in commands]
     reads = 0
     while any(writer.poll() is None for writer in writers):
         content = file.read_bytes()
         assert len(content) == 200_000 and len({*content}) == 1
         reads += 1
-    assert reads > 3 and [writer.returncode for writer in writers] == [0, 0, 0]
+    assert reads > 3 and [writer.returncode for writer in writers] == [0, 0]
     assert list(tmp_path.iterdir()) == [file]

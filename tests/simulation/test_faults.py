@@ -137,7 +137,7 @@ def a_fault(draw):
     return Fault(kind=kind, channel=channel, **size, **times)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.lists(a_fault(), max_size=4), st.integers(0, 9))
 def test_faults_are_the_same_in_the_closed_loop_and_on_a_recorded_stream(several, seed):
     """Of a robot with all sensors."""

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from condensed_rhc import controller
-from helpers import untraceable
 from loops import LOOPS, SMALL, unlike
+from own_steps import untraceable
 
 import rhec
 from notebooks.rivals import by_name

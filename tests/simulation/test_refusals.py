@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import assert_refused
-from own_steps import PLAIN, dead_reckoning, filter_of_yaw_rates, step_of
+from own_steps import PLAIN, dead_reckoning, filter_of_yaw_rates, largest_error_m, step_of
 
 import rhec
 
@@ -32,10 +32,6 @@ class Constant(ca.Callback):
 def step_in_python():
     constant, upper = Constant(), ca.MX.sym("upper")
     return ca.Function("own", [upper], [constant(upper)], ["upper"], ["command"])
-
-
-def largest_error_m(run):
-    return run.columns["error_true_m"].max()
 
 
 def scenario_with(shapes, **fields):
