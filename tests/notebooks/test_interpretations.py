@@ -21,6 +21,7 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
+SHORT = dict(row_length_m=10.0, duration_s=40.0)  # with a curve
 ROOT = Path(__file__).parents[2]
 
 
@@ -113,7 +114,7 @@ def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine,
         "simulate",
         lambda scenarios: (
             asked.extend(scenarios)
-            or simulate([type(one)(duration_s=80.0, sigma_w=one.sigma_w) for one in scenarios])
+            or simulate([rhec.Scenario(**SHORT, sigma_w=one.sigma_w) for one in scenarios])
         ),
     )
     runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)
