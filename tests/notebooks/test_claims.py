@@ -168,7 +168,7 @@ def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
     metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
     samples = np.random.default_rng(0).lognormal(size=(99, 200, 4))
     drawn = (pd.DataFrame(sample, columns=metrics) for sample in samples)
-    shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=400)
+    shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=200)
     assert {*shown["statistic"]} == {"mean", "difference_of_means", "ratio_of_means"}
     assert shown["coverage"].between(0.9, 0.99).all()
 
@@ -565,10 +565,10 @@ def _claim_on(rule, table):
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("rule", NULLS)
 def test_where_nothing_is_to_be_found_five_looks_are_wrong_as_seldom_as_they_say(rule, monkeypatch):
-    """400 claims on drives of their own. Notebook 06 says at most 5.8 %, by Bonferroni."""
+    """200 claims on drives of their own. Notebook 06 says at most 5.8 %, by Bonferroni."""
     judge, columns = NULLS[rule]
     rng = np.random.default_rng(3)
-    tables = [("printed", "runs", str(number)) for number in range(400)]
+    tables = [("printed", "runs", str(number)) for number in range(200)]
     claims = {table[2]: _claim_on(judge, table) for table in tables}
 
     def make(tables, seeds, folder=None):
@@ -580,10 +580,10 @@ def test_where_nothing_is_to_be_found_five_looks_are_wrong_as_seldom_as_they_say
     monkeypatch.setattr(evidence, "make", make)
     _, findings, _, decided_at = evidence.collect(claims, LOOKS)
     wrong = {id_ for id_, of in findings.items() if of[""].verdict != UNDECIDED}
-    # 0.058, and three standard errors of the share of 400
-    assert len(wrong) / 400 < 0.058 + 3 * np.sqrt(0.058 * 0.942 / 400)
+    # 0.058, and three standard errors of the share of 200
+    assert len(wrong) / 200 < 0.058 + 3 * np.sqrt(0.058 * 0.942 / 200)
     early = sum(decided_at[id_][""] == statistics.EARLY_CONFIDENCE for id_ in wrong)
-    assert early / 400 < 0.008 + 3 * np.sqrt(0.008 * 0.992 / 400)
+    assert early / 200 < 0.008 + 3 * np.sqrt(0.008 * 0.992 / 200)
     # p has what the looks before have spent.
     last = [of[""].p for id_, of in findings.items() if decided_at[id_][""] == 0.95]
     assert min(last) >= 4 * (1 - statistics.EARLY_CONFIDENCE)

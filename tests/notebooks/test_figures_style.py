@@ -80,6 +80,7 @@ def test_what_other_parameters_made_says_so_and_lies_elsewhere(tmp_path, monkeyp
     for name in ("RHEC_FIGURES", "RHEC_NOTEBOOK", "JPY_SESSION_NAME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(style, "FOLDER", tmp_path)
+    monkeypatch.setitem(style.RC, "savefig.dpi", 100)
     table = pd.DataFrame(dict(error_m=[0.0423]))
     own = style.save(parabola(), "parabola").png
     csv = style.save_table(table, "errors", "Errors")
@@ -95,7 +96,7 @@ def test_what_other_parameters_made_says_so_and_lies_elsewhere(tmp_path, monkeyp
         # The figure is as it was, below a line.
         shown = np.asarray(Image.open(other))
         more = len(shown) - len(pixels)
-        assert 30 < more < 60 and (shown[more:] == pixels).mean() > 0.999
+        assert 10 < more < 20 and (shown[more:] == pixels).mean() > 0.999
         assert (shown[:more] != 255).any()
         csv = style.save_table(table, "errors", "Errors")
         assert csv.parent == folder and style.note_of(csv) == note

@@ -21,10 +21,12 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
+SHORT = dict(row_length_m=10.0, duration_s=40.0)  # with a curve
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("sigma_x_m", [0.02, 10.0])
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("sigma_x_m", [10.0, 0.02])
 def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
     """Not on the yaw's own scale only: the covariance after thousands of samples on a straight
     along x.
@@ -112,7 +114,7 @@ def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine,
         "simulate",
         lambda scenarios: (
             asked.extend(scenarios)
-            or simulate([type(one)(duration_s=80.0, sigma_w=one.sigma_w) for one in scenarios])
+            or simulate([rhec.Scenario(**SHORT, sigma_w=one.sigma_w) for one in scenarios])
         ),
     )
     runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)

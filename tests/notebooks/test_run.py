@@ -17,6 +17,7 @@ from jupyter_client.connect import LocalPortCache
 from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
+from papermill.exceptions import PapermillExecutionError
 from traitlets.config import PyFileConfigLoader
 
 from notebooks import run as notebook
@@ -203,8 +204,10 @@ def test_outputs_that_jupyterlab_saves_are_no_edit(tmp_path, monkeypatch):
     shutil.copy(output, path)
     run_toy(monkeypatch, path, "--if-edited")
     assert output.read_bytes() == made and output.stat().st_mtime >= path.stat().st_mtime
+    edited = []
+    monkeypatch.setattr(notebook, "run", lambda *given: edited.append(given))
     run_toy(monkeypatch, toy(tmp_path, "1 + 2"), "--if-edited")
-    assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "3"
+    assert edited == [(path, {}, output)]
 
 
 def test_a_notebook_that_takes_long_says_below_which_heading_it_is(monkeypatch, capfd):
@@ -257,12 +260,25 @@ def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd)
     assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "2"
 
 
-def test_a_full_disk_in_a_cell_is_a_sentence_that_names_the_file(tmp_path, monkeypatch, capsys):
-    writing = "with replacing('fig.png') as file: raise OSError(28, 'No space left on device')"
-    cell = f"from rhec.files import replacing\n{writing}"
-    with pytest.raises(SystemExit):
-        run_toy(monkeypatch, toy(tmp_path, cell))
-    assert capsys.readouterr().err == "toy: [Errno 28] No space left on device: 'fig.png'\n"
+@pytest.mark.parametrize(
+    "error, code, said",
+    [
+        (("OSError", "[Errno 28] No space left: 'fig.png'"), 1, "toy: [Errno 28] No space left: "),
+        (("KeyboardInterrupt", ""), 130, "toy: interrupted\n"),
+        (("ParameterError", "seed was -1; it should be more"), 2, "seed was -1; it should be more"),
+        (("KeyError", "'x'"), 1, "\n-----"),
+    ],
+)
+def test_a_cell_that_fails_is_told_in_a_sentence_where_it_can_be(
+    error, code, said, tmp_path, monkeypatch, capsys
+):
+    def run(*given):
+        raise PapermillExecutionError(0, 1, "a cell", *error, [])
+
+    monkeypatch.setattr(notebook, "run", run)
+    with pytest.raises(SystemExit) as ended:
+        run_toy(monkeypatch, toy(tmp_path, "1 + 1"))
+    assert ended.value.code == code and capsys.readouterr().err.startswith(said)
 
 
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
