@@ -30,18 +30,17 @@ async function drive() {
   const samples = Math.round(values.duration_s / world.dt_s);
   const where = { turns: $("turns").value, start_offset_m: values.start_offset_m };
   page.soil = await world.soil(seed, $("soil").value, patches, where);
-  let took = 0;
+  const begun = performance.now();
   for (const [i, { module, fields }] of runs.entries()) {
     const n = $("window").value;
     const name = module === "rhe" && n !== "15" ? `rhe_${n}` : module;
     if (page.loops[i]?.name !== name) page.loops[i] = await Loop.of(name, world);
     const loop = page.loops[i];
     const stream = await world.stream(seed, loop.data.faulty && $("fault").value);
-    const begun = performance.now();
     loop.run(values_of(loop, fields), stream, page.soil, samples);
-    took += performance.now() - begun;
   }
   page.loops.length = runs.length;
+  const took = performance.now() - begun;
   show();
   write(`${runs.length} runs of ${values.duration_s} s in ${took.toFixed(0)} ms`);
   draw();
