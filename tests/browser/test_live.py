@@ -350,13 +350,18 @@ def shown(opened):
     runs = [dict(zip(COLUMNS, run["rows"].T)) for run in live.runs()]
     for run in runs:
         run["xy"] = np.column_stack([run["x_m"], run["y_m"]])
-    rhe = rhec.RHE(process_noise=tuning.DEFAULT_RULE, guess=GUESS)
-    z = np.column_stack([runs[0][name] for name in MEASUREMENTS])
-    covariance = []
-    for z_N in z:
+    P = covariances(runs[0], process_noise=tuning.DEFAULT_RULE)
+    return SimpleNamespace(runs=runs, marks=marks, touched=touched, P=P)
+
+
+def covariances(c, **noise):
+    """Of the public RHE on the measurements of a log, by sample."""
+    rhe = rhec.RHE(**noise, guess=GUESS)
+    found = []
+    for z_N in np.column_stack([c[name] for name in MEASUREMENTS]):
         rhe.prepare()
-        covariance.append(rhe.feedback(z_N).covariance)
-    return SimpleNamespace(runs=runs, marks=marks, touched=touched, P=np.array(covariance))
+        found.append(rhe.feedback(z_N).covariance)
+    return np.array(found)
 
 
 def test_pictures_show_the_columns_of_the_runs(shown):
@@ -915,12 +920,7 @@ def shown_by_row(live, c, time):
     """With the covariances of the public RHE."""
     noise = tuning.NOISES["rhe"]["prediction"]
     sigma_w = (*noise.sigma_w[:5], 0.014)
-    rhe = rhec.RHE(sigma_w=sigma_w, sigma_v=noise.sigma_v, guess=GUESS)
-    variance = []
-    for z_N in np.column_stack([c[name] for name in MEASUREMENTS]):
-        rhe.prepare()
-        variance.append(rhe.feedback(z_N).covariance[5, 5])
-    sigma = np.sqrt(variance)
+    sigma = np.sqrt(covariances(c, sigma_w=sigma_w, sigma_v=noise.sigma_v)[:, 5, 5])
     k = round(time / paper.DT_S)
     best = 50 + np.argmax(sigma[50:])
     numbers = dict(time=f"{time:.1f}", sigma=f"{sigma[k]:.3f}", x=f"{c['x_m'][k]:.1f}")
