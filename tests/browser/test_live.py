@@ -545,19 +545,41 @@ def test_a_pointer_on_a_picture_moves_what_it_holds(live):
 
 
 def test_a_wet_patch_is_seen_where_it_is(live):
+    """On the map, and ahead of a robot that has not come to it."""
     page = live.scene("a").page
-    brown = """([x, y]) => {
-        const at = [page.map.x(x), page.map.y(y)].map(Math.round)
-        return page.map.c.getImageData(...at, 1, 1).data[3]
-    }"""
-    radius = NEW_PATCH[2]
-    shares = [(0, 0), (0.8, 0), (0, -0.8), (1.3, 0), (0, 1.3)]
-    places = [(12 + radius * x, 4.5 + radius * y) for x, y in shares]
-    before = [page.evaluate(brown, place) for place in places]
-    page.evaluate("add_patch(12, 4.5)")
+    live.move(page.locator("#moment"), 100.5 / 600)
     live.settled()
-    after = [page.evaluate(brown, place) for place in places]
-    assert min(np.subtract(after, before)[:3]) > 50 and after[3:] == before[3:]
+    brown = """([canvas, ...place]) => {
+        const [across, down] = place.map(Math.round)
+        return $(canvas).getContext("2d").getImageData(across, down, 1, 1).data[3]
+    }"""
+    near = live.marks()["near"].high[0]
+    robot_m = live.runs()[0]["rows"][100, 0]
+    radius = NEW_PATCH[2]
+    x, y = robot_m + 0.8 + radius, 0.5
+
+    def on_map(along, across):
+        place = [x + radius * along, y + radius * across]
+        at = page.evaluate("([x, y]) => [page.map.x(x), page.map.y(y)]", place)
+        return page.evaluate(brown, ["map", *at])
+
+    def ahead(ahead_m):
+        wide, high = page.evaluate("[$('near').clientWidth, $('near').clientHeight]")
+        scale = (wide - 50) / 2 / near
+        beside_m = 0.25  # between the corridor and the leaves
+        at = 38 + (near + ahead_m) * scale, (high - 14) / 2 - beside_m * scale
+        return page.evaluate(brown, ["near", *at])
+
+    def seen():
+        shares = [(0, 0.4), (0.7, 0.4), (0, -0.8), (1.2, 0.5), (0, 1.3)]
+        return np.array([*(on_map(*share) for share in shares), ahead(1.5), ahead(-1.5)])
+
+    before = seen()
+    page.evaluate("place => add_patch(...place)", [x, y])
+    live.settled()
+    wetter = seen() - before
+    assert min(wetter[[0, 1, 2, 5]]) > 30
+    np.testing.assert_array_equal(wetter[[3, 4, 6]], 0)
 
 
 def test_a_click_on_a_run_hides_it(live):
