@@ -30,16 +30,17 @@ async function drive() {
   const samples = Math.round(values.duration_s / world.dt_s);
   const where = { turns: $("turns").value, start_offset_m: values.start_offset_m };
   page.soil = await world.soil(seed, $("soil").value, patches, where);
-  const begun = performance.now();
-  for (const [i, { module, fields }] of runs.entries()) {
+  const streams = [];
+  for (const [i, { module }] of runs.entries()) {
     const n = $("window").value;
     const name = module === "rhe" && n !== "15" ? `rhe_${n}` : module;
     if (page.loops[i]?.name !== name) page.loops[i] = await Loop.of(name, world);
-    const loop = page.loops[i];
-    const stream = await world.stream(seed, loop.data.faulty && $("fault").value);
-    loop.run(values_of(loop, fields), stream, page.soil, samples);
+    streams[i] = await world.stream(seed, page.loops[i].data.faulty && $("fault").value);
   }
   page.loops.length = runs.length;
+  const begun = performance.now();
+  page.loops.forEach((loop, i) =>
+    loop.run(values_of(loop, runs[i].fields), streams[i], page.soil, samples));
   const took = performance.now() - begun;
   show();
   write(`${runs.length} runs of ${values.duration_s} s in ${took.toFixed(0)} ms`);
