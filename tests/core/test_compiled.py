@@ -71,7 +71,7 @@ def test_one_of_several_processes_compiles_into_a_private_cache(tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"
     compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] || echo once >> {calls}\nexec cc "$@"\n')
     compiler.chmod(0o755)
-    processes = [start(tmp_path / "cache", CC=str(compiler)) for _ in range(3)]
+    processes = [start(tmp_path / "cache", CC=str(compiler)) for _ in range(2)]
     assert len({*map(answer, processes)}) == 1
     assert calls.read_text() == "once\n"
     assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700

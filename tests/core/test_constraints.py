@@ -89,7 +89,8 @@ FAST = dict(velocity_mps=(-0.9, 0.9))
 STEADY = dict(delta_bounds=dict(acceleration_mps2=(-0.25, 0.25)))
 
 
-@pytest.mark.parametrize(("bounds", "changes"), [({}, {}), (FAST, {}), ({}, STEADY)])
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize(("bounds", "changes"), [(FAST, {}), ({}, STEADY), ({}, {})])
 def test_a_first_plan_of_nothing_is_not_kept_where_the_bounds_exclude_it(bounds, changes):
     """Nor is a plan that `update` leaves beyond the bounds: each is cheaper than what they allow.
 

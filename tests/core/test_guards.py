@@ -140,7 +140,7 @@ def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
 
 
 @pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("n", [80, 480])
+@pytest.mark.parametrize("n", [40, 480])
 def test_after_a_storm_of_absurd_samples_the_estimate_is_back(n):
     """A window whose solution swings does not take its own swings for noise of the receiver.
 

@@ -47,7 +47,7 @@ def end_of(model, x=X_0, dt_s=INTERVAL_S):
 def test_a_rule_has_its_order_where_the_model_is_smooth(rule, order):
     """Twice the substeps divide the error of an interval by 2^order, or more."""
     exact = exact_end(0.04)
-    few = 2 if rule == "radau5" else 8
+    few = dict(rk4=8, radau3=4, radau5=2)[rule]
     errors = [
         np.linalg.norm(end_of(van_der_pol(rule=rule, steps=k), dt_s=0.04) - exact)
         for k in (few, 2 * few)

@@ -46,7 +46,7 @@ def start(seed):
     return np.array([pos, vel, 0.7 * np.sign(side), rate])
 
 
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_hard_bound_that_the_soft_plan_keeps_is_kept(hard, soft, seed):
     for rhc in (hard, soft):

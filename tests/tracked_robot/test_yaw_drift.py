@@ -164,6 +164,18 @@ def test_the_controller_cancels_the_drift(name):
     assert mean_error_m(**drifting) < 0.4 * mean_error_m(**plain)
 
 
+@pytest.mark.parametrize(
+    "drift, disturbance",
+    [(0.1, 0.1 * 0.5 * 0.9 / 0.75), (9.0, 0.1), (-9.0, -0.1), (np.nan, 0.0), (np.inf, 0.0)],
+)
+def test_a_disturbance_takes_at_most_half_of_the_bound_of_the_yaw_rate(drift, disturbance):
+    """d = μνδ/κ within ±ω_max/2, so that the rest is left for steering."""
+    estimate = rhec.RHE(horizon=2).step((0.0, 0.0, 0.5, 0.0))
+    estimate = estimate._replace(nu=0.5, mu=0.9, kappa=0.75, yaw_drift=drift)
+    found = rhec.RHC(horizon=2, omega_max=0.2).disturbance(estimate)
+    assert found == pytest.approx(disturbance, abs=1e-12)
+
+
 def test_without_the_yaw_drift_there_is_no_disturbance():
     without, with_drift = (rhec.RHE(horizon=2, yaw_drift=each) for each in (False, True))
     estimate = without.step((0.0, 0.0, 0.5, 0.0))
