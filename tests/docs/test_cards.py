@@ -75,9 +75,11 @@ def test_the_overview_links_every_card_and_the_filter_counts_them(page):
 def test_a_card_links_the_live_page_only_where_there_is_one(page):
     assert "live.html" not in str(page[0])
     scenes = tomllib.loads((ROOT / "docs/live/scenes.toml").read_text(encoding="utf-8"))
-    _, all_cards = parsed(live=True)
+    wanted = {name for ids in cards.LIVE.values() for name in ids.split()}
+    some = CLAIMS_CSV["id"].isin(wanted) | (CLAIMS_CSV.index < 5)
+    _, all_cards = parsed(live=True, claims=CLAIMS_CSV[some])
     linked = {id_ for id_, card in all_cards.items() if "live.html" in str(card)}
-    assert linked == {name for ids in cards.LIVE.values() for name in ids.split()}
+    assert linked == wanted != {*all_cards}
     for address, ids in cards.LIVE.items():
         assert address.partition("&")[0] in scenes
         for name in ids.split():

@@ -248,9 +248,9 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
             np.testing.assert_array_equal(np.float32(line.get_data()), [x, y], panel["title"])
 
 
-def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it():
+def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
-    run = rhec.simulate(replace(SHORT, path=path, duration_s=2.0))
+    run = replace(made.runs[0], path=path)
     panel = field_run.picture_of([run], zoom="first row").panels["map"]
     ends = path.poses([0.0, 20.0])[0]
     for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):

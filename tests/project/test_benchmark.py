@@ -197,6 +197,7 @@ def test_instructions_a_call_are_read_from_callgrinds_file(tmp_path):
     assert instructions.per_call(profile) == {"rhe_feedback": 250, "block": 32}
 
 
+@nightly
 @pytest.mark.skipif(not instructions.available(), reason="valgrind is not installed")
 def test_only_what_is_asked_for_is_counted(tmp_path):
     library = instructions.counter(tmp_path)

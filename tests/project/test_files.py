@@ -129,7 +129,7 @@ def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path,
     old, new = versions
     assert {folder / file for file in new} <= {*done}  # nothing is written in another way
     assert all(old.get(file) != content for file, content in new.items())
-    for place, fails_at in enumerate({*np.linspace(1, len(done), 6).astype(int)}):
+    for place, fails_at in enumerate({*np.linspace(1, len(done), 4).astype(int)}):
         folder = tmp_path / f"fails at {fails_at}"
         shutil.copytree(tmp_path / "1", folder)
         error = (FULL, KeyboardInterrupt)[place % 2]
