@@ -175,6 +175,7 @@ def husky(tmp_path):
     return write_bag(tmp_path, "mcap", messages)
 
 
+@pytest.mark.nightly
 def test_the_bag_of_a_husky_takes_one_command(tmp_path, capsys):
     """GNSS, odometry of the wheels and IMU: nothing is asked before there is an answer."""
     file = husky(tmp_path)
