@@ -206,6 +206,7 @@ def test_a_replay_takes_a_calibration_and_becomes_better(calibrated):
     assert off[1] < 0.9 * off[0]
 
 
+@pytest.mark.nightly
 def test_outliers_do_not_pass_for_noise():
     log, _ = drive(2, 500)
     random = np.random.default_rng(7)

@@ -250,7 +250,7 @@ def test_texts_of_a_parquet_file_are_left_aside_or_refused_by_name(tmp_path):
 
 # Bags
 
-KINDS = ["bag", "folder", "mcap"]
+KINDS = ["bag", "mcap", "folder"]
 
 
 def test_columns_without_names_are_numbered(tmp_path):
@@ -281,6 +281,7 @@ RADIUS = 0.2
 RANDOM = np.random.default_rng(0)
 
 
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
     """Odometry and wheel speeds, out of order: every message is there, at its own time, once."""

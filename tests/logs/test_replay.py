@@ -106,11 +106,10 @@ def test_an_estimator_of_ones_own():
 
 
 def test_no_estimate_sees_the_truth(estimates):
-    truth = list(RECORDED_TRUTH.values())
-    for blind in (LOG.drop(columns=truth), LOG.assign(**dict.fromkeys(truth, 7.0))):
-        np.testing.assert_array_equal(
-            rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE]
-        )
+    blind = LOG.assign(**dict.fromkeys(RECORDED_TRUTH.values(), 7.0))
+    np.testing.assert_array_equal(
+        rhec.replay(blind, first_yaw_rad=0.4)[ESTIMATE], estimates[ESTIMATE]
+    )
 
 
 def test_an_unknown_first_yaw_is_found():
@@ -202,7 +201,7 @@ def merged(gnss, encoders_hz=10.0, noise_m=0.0):
 
 
 @may_be_unsure
-@pytest.mark.nightly(keep=2)
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize(
     "gnss, first_yaw_rad", [(GNSS[-1], None), *((each, 0.4) for each in reversed(GNSS))]
 )

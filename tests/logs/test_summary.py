@@ -87,10 +87,12 @@ def test_a_robot_that_drifts_has_its_kappa_nevertheless():
     """With unlike tracks it turns by 0.05 rad in each metre, beside what κ says."""
     log = recorded_log(5.0, 90.0, noise_m=0.01, seed=3)
     rate = log["yaw_rate_radps"] - 0.05 / KAPPA * log["speed_mps"] * MU
-    traction = rhec.log(log.assign(yaw_rate_radps=rate)).traction
+    summary = rhec.log(log.assign(yaw_rate_radps=rate))
+    traction = summary.traction
     for name, truth in (("κ", KAPPA), ("drift", 0.05 * MU)):
         assert traction.loc[name, "low"] < truth < traction.loc[name, "high"]
     assert traction.loc["drift", "low"] > 0.03
+    assert not any("κ is above 1" in each for each in summary.doubts)
 
 
 def test_without_a_test_nothing_is_trusted():
@@ -99,15 +101,16 @@ def test_without_a_test_nothing_is_trusted():
     assert verdict.startswith("Cannot tell yet: the log is too short to tell μ: drive for a minute")
 
 
-def test_a_kappa_of_one_is_none_above_one():
+@pytest.mark.nightly(keep=1)
+@pytest.mark.parametrize("share, is_above", [(0.8, True), (0.997, False)])
+def test_a_kappa_of_one_is_none_above_one(share, is_above):
+    """Of 0.997 the κ is a little more than 1, and its interval holds 1."""
     log = recorded_log(5.0, 60.0, noise_m=0.02, seed=3)
-    for share, is_above in ((0.997, False), (0.8, True)):
-        # Of 0.997 the κ is a little more than 1, and its interval holds 1.
-        true = dict(speed_mps=log["v_true_mps"], yaw_rate_radps=share * log["yaw_rate_true_radps"])
-        summary = rhec.log(log.assign(**true))
-        row = summary.traction.loc["κ"]
-        assert row["value"] > 1 and (row["low"] > 1) == is_above
-        assert any("κ is above 1" in each for each in summary.doubts) == is_above
+    true = dict(speed_mps=log["v_true_mps"], yaw_rate_radps=share * log["yaw_rate_true_radps"])
+    summary = rhec.log(log.assign(**true))
+    row = summary.traction.loc["κ"]
+    assert row["value"] > 1 and (row["low"] > 1) == is_above
+    assert any("κ is above 1" in each for each in summary.doubts) == is_above
 
 
 @pytest.mark.nightly
@@ -175,6 +178,7 @@ def husky(tmp_path):
     return write_bag(tmp_path, "mcap", messages)
 
 
+@pytest.mark.nightly
 def test_the_bag_of_a_husky_takes_one_command(tmp_path, capsys):
     """GNSS, odometry of the wheels and IMU: nothing is asked before there is an answer."""
     file = husky(tmp_path)
