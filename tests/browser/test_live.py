@@ -55,6 +55,8 @@ PREPARE = """() => {
         }
     }
 }"""
+# Each picture has the size of its place.
+DRAWN = "[...document.querySelectorAll('canvas')].every(c => c.width === c.clientWidth)"
 PICTURES = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
 MARKS = """() => Object.fromEntries(Object.entries(marks).map(([canvas, { all, limits }]) =>
     [canvas, { limits, all: all.map(mark => ({ ...mark, points: bytes(mark.points) })) }]))"""
@@ -255,7 +257,7 @@ def test_it_opens_offline_at_the_scene_of_an_address_is_light_and_fits_a_phone(o
         for width in (1366, 390, 1366):
             page.set_viewport_size({"width": width, "height": 768})
             assert page.evaluate("document.documentElement.scrollWidth") <= width
-            wait_until(page, "$('map').width === $('map').clientWidth")  # it is drawn again
+            wait_until(page, DRAWN, patience_s=30)
         (*_, shade) = live.marks()["error"].of("area", "--measured") or [None]
         assert (shade is not None) == (scene == "faults")
     assert {*shade[:, 0]} == {40, 50}  # when positions are 2 m off
