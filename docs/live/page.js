@@ -66,8 +66,7 @@ function ask(what) {
 // In words and numbers
 
 function python(value) {
-  const word = { true: "True", false: "False" }[value];
-  if (!Array.isArray(value)) return word ?? JSON.stringify(value);
+  if (!Array.isArray(value)) return JSON.stringify(value);
   return `(${value.map(python).join(", ")}${value.length === 1 ? "," : ""})`;
 }
 

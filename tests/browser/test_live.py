@@ -27,7 +27,7 @@ pytestmark = needs_live_page
 
 GUESS = (0.0, paper.START_OFFSET_M, 0.0, paper.SPEED_MPS, 1.0, 1.0)
 PATH = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M)
-PLANTS = plants_of(PATH)
+PLANTS = plants_of(PATH).round(3)
 
 # What the page computed, as text, and what its pictures show, noted while they are drawn.
 PREPARE = """() => {
@@ -55,6 +55,8 @@ PREPARE = """() => {
         }
     }
 }"""
+# Each picture has the size of its place.
+DRAWN = "[...document.querySelectorAll('canvas')].every(c => c.width === c.clientWidth)"
 PICTURES = "[...document.querySelectorAll('#pictures canvas')].map(c => c.toDataURL())"
 MARKS = """() => Object.fromEntries(Object.entries(marks).map(([canvas, { all, limits }]) =>
     [canvas, { limits, all: all.map(mark => ({ ...mark, points: bytes(mark.points) })) }]))"""
@@ -255,7 +257,7 @@ def test_it_opens_offline_at_the_scene_of_an_address_is_light_and_fits_a_phone(o
         for width in (1366, 390, 1366):
             page.set_viewport_size({"width": width, "height": 768})
             assert page.evaluate("document.documentElement.scrollWidth") <= width
-            wait_until(page, "$('map').width === $('map').clientWidth")  # it is drawn again
+            wait_until(page, DRAWN, patience_s=30)
         (*_, shade) = live.marks()["error"].of("area", "--measured") or [None]
         assert (shade is not None) == (scene == "faults")
     assert {*shade[:, 0]} == {40, 50}  # when positions are 2 m off
@@ -273,6 +275,7 @@ def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
     before = page.evaluate(PICTURES)
     live.change_at_random(random.Random(scene))
     assert not {*before} & {*page.evaluate(PICTURES)}
+    assert_sliders_show(page, scenario_of(live.runs()[0]["line"]))
     rows = page.locator("#metrics tr:has(td)").all()
     for run, row in zip(live.runs(), rows, strict=True):
         native = same_run_in_python(run)
@@ -291,6 +294,18 @@ def test_given_its_noise_and_soil_a_run_equals_python(live, scene):
         assert f"{row.locator('button').inner_text()[2:]}: {error}" in page.get_attribute(
             "#error", "aria-label"
         )
+
+
+def assert_sliders_show(page, scenario):
+    """What the followed run has: its own values, those of the page, and the last patch."""
+    read = (
+        "all => all.map(each => [each.dataset.field, each.dataset.place, each.nextSibling.value])"
+    )
+    shown = page.eval_on_selector_all("#sliders input:enabled[data-field]", read)
+    assert len(shown) > 20
+    for field, place, text in shown:
+        values = scenario.patches[-1] if field == "patch" else getattr(scenario, field)
+        assert float(text) == pytest.approx(np.ravel(values)[int(place or 0)], rel=0.01)
 
 
 @pytest.mark.nightly(keep=1)
@@ -351,7 +366,8 @@ def shown(opened):
     for run in runs:
         run["xy"] = np.column_stack([run["x_m"], run["y_m"]])
     P = covariances(runs[0], process_noise=tuning.DEFAULT_RULE)
-    return SimpleNamespace(runs=runs, marks=marks, touched=touched, P=P)
+    touches = live.page.evaluate("[...touches_of(page.loops[0])]")
+    return SimpleNamespace(runs=runs, marks=marks, touched=touched, touches=touches, P=P)
 
 
 def covariances(c, **noise):
@@ -491,11 +507,13 @@ def assert_same_places(found, places):
 
 def test_a_leaf_is_touched_once_the_robot_has_covered_its_tip(shown):
     c = shown.runs[0]
-    touched = np.zeros(len(PLANTS), dtype=bool)
-    for k in range(MOMENTS[-1] + 1):
+    first = np.full(len(PLANTS), 1200)
+    for k in range(1200):
         tips = np.abs(seen_from([c[name][k] for name in POSE])(PLANTS[:, :2]))
-        touched |= (tips <= (paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2)).all(axis=1)
-    assert 0 < shown.touched == touched.sum()
+        covered = (tips <= (paper.ROBOT_LENGTH_M / 2, paper.ROBOT_WIDTH_M / 2)).all(axis=1)
+        first[covered & (first == 1200)] = k
+    np.testing.assert_array_equal(shown.touches, first)
+    assert 0 < shown.touched == np.sum(first <= MOMENTS[-1])
 
 
 # What a reader does
@@ -531,6 +549,12 @@ def test_a_pointer_on_a_picture_moves_what_it_holds(live):
     page.click("#patch")
     live.settled()
     assert scenario_of(live.runs()[0]["line"]).patches == (patch, NEW_PATCH)
+    page.keyboard.down("Shift")
+    moved = drag((0, -0.8), (5, 5))
+    page.keyboard.up("Shift")
+    assert moved.start_offset_m == turned.start_offset_m  # the picture is moved, not the start
+    page.evaluate("page.views.chosen.clear(), page.views.all.get($('map')).up = null, ask(draw)")
+    live.settled()
     # Elsewhere a pointer chooses when the robot is nearest; over time, the time.
     drag((25, 0.3), (20, 0.3))
     away = live.runs()[0]["rows"][:, :2] - [20, 0.3]
@@ -783,10 +807,13 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
         page.mouse.move(*px(canvas, *end), steps=3)
         boxes = page.eval_on_selector_all(
             f"#view-{canvas} ~ .view-box:not([hidden])",
-            "all => all.map(box => [box.style.width, box.style.height])",
+            """all => all.map(({ style, parentElement: { firstChild: canvas } }) => [
+                parseFloat(style.left) - canvas.offsetLeft,
+                parseFloat(style.top) - canvas.offsetTop,
+                parseFloat(style.width), parseFloat(style.height)])""",
         )
         page.mouse.up(button=button)
-        return [round(float(length[:-2])) for box in boxes for length in box]
+        return np.round(boxes).ravel().tolist()
 
     assert (
         page.locator("[id^=view-] ~ div:not([hidden]), [id^=view-] ~ output:visible").count() == 0
@@ -822,7 +849,10 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     page.keyboard.down("Shift")
     assert not drag("one", (5, 0.5), (4, 0.6))  # a second's pixels to the left, a tenth's up
     page.keyboard.up("Shift")
+    (cursor, _) = page.eval_on_selector_all("[id^=view-] ~ .view-cursor.over-time", rectangle)
     x = [each + share for each in x]
+    expected = one[0] + 38 + 30 * (5 - x[0]) / share  # where sample 5 is now
+    assert cursor[0] == pytest.approx(expected, abs=1)
     up = [0.15 - 0.25 * share, 0.15 + 0.75 * share]
     limits_are([*x, max(up[0], 0), up[1]], [*x, 0, 1], whole_map)
     drag("one", (0, 0.5), (10, 0.52))
@@ -832,9 +862,9 @@ def test_a_pointer_shows_values_and_zooms_and_moves(live):
     assert not drag("map", (6, 0.8), (2, 0.3), "right")
     limits_are(whole, whole, whole_map)
     # A box is what is seen next; a flat one chooses times alone.
-    assert drag("map", (6, 0.8), (2, 0.3)) == [30 * 4, 200 * 0.5]
+    assert drag("map", (6, 0.8), (2, 0.3)) == [38 + 60, 6 + 40, 30 * 4, 200 * 0.5]
     limits_are(whole, whole, [2, 6, 3, 8])
-    assert drag("two", (3, 0.52), (8, 0.5)) == [30 * 5, 200 * 0.02]
+    assert drag("two", (3, 0.52), (8, 0.5)) == [38 + 90, 6 + 96, 30 * 5, 200 * 0.02]
     limits_are([3, 8, 0, 1], [3, 8, 0, 1], [2, 6, 3, 8])
     assert page.locator("[id^=view-] ~ .view-box:visible").count() == 0
     drag("map", (6, 0.8), (5.9, 0.3))  # too narrow to be meant
