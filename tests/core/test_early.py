@@ -45,6 +45,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def forget_libraries():
+    wait()  # a thread that an earlier test began would look for what is forgotten
     compiled.load.cache_clear()
     early._threads.clear()
     early._opened.clear()

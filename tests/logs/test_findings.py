@@ -171,6 +171,7 @@ WRONG = {
     "gyro in another unit": (gyro(scale=5e3), "gyro_radps is .* it may be in another unit"),
     "heading clockwise": (heading(sign=-1.0), "heading_rad may be counted clockwise"),
     "heading from north": (heading(offset=np.pi / 2), "heading_rad is 1.57 rad .* from north"),
+    "heading off by 0.7 rad": (heading(offset=0.7), "heading_rad is 0.696 rad from the dir"),
     "heading in degrees": (heading(unit=180 / np.pi), "heading_rad may be in degrees .* rad: "),
     "rows in reverse": (LOG[::-1], "t_s falls 1499 times in 1500 rows; it may be in reverse"),
     "rows unsorted": (LOG.sample(frac=1.0, random_state=0), "t_s falls 755 times .* unsorted"),
