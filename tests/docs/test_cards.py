@@ -115,7 +115,8 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
     row = next(row for row in DRAWN if row["id"] == "B5")
     alone = cards.interval(row | dict(other_n=0, other_value=""))
     for far, side in ((-1e3, -1), (1e3, 1)):
-        drawn = cards.interval(row | dict(other_n=9, other_value=far, other_low="", other_high=""))
+        ends = dict(other_low=far - 100.0, other_high=far + 100.0)
+        drawn = cards.interval(row | dict(other_n=9, other_value=far) | ends)
         assert drawn | dict(beyond=None, words="") == alone | dict(words="")
         _, edge, to, number = drawn["beyond"]
         assert to == side and side * (edge - 180) > 160 and number_of(number) == far

@@ -208,6 +208,29 @@ def test_wet_patches_are_added_moved_and_removed(made):
     assert made.runs[0].scenario == SHORT
 
 
+def test_a_table_says_which_run_was_pinned_where_it_is_another(made):
+    made.pin.click()
+    assert made.screen.table.count("− pinned<") == 2
+    one, other = made.runs
+    table = explorer.metrics_table([one], [other])
+    assert f"− pinned {field_run.name_of(other.scenario)}<" in table
+
+
+def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
+    def hidden():
+        names = ("gyro_sigma_radps", "gyro_bias_radps", "heading_sigma_rad")
+        return [made.inputs[name].layout.display == "none" for name in names]
+
+    assert hidden() == [True, True, True]
+    made.inputs["sensors"].value = ("gyro",)
+    assert hidden() == [False, False, True]
+
+
+def test_limits_go_in_coarse_steps_up_to_the_largest():
+    assert field_run.round_up_to(0.3) == 0.3 and field_run.round_up_to(0.31) == 0.6
+    assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 300
+
+
 def test_pinned_runs_stay(made):
     made.pin.click()
     pinned = made.runs
@@ -258,6 +281,16 @@ def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_i
     (band,) = [mark for mark in panel.marks if mark.kind == "area"]
     distance, _ = path.project(np.column_stack([band.x, band.y]))
     np.testing.assert_allclose(distance, paper.TOLERANCE_M)
+
+
+def test_a_ring_is_where_the_robot_was_farthest_off_once_it_had_settled(made):
+    made.inputs["start_offset_m"].value = 0.5  # farther off than ever after
+    run = made.runs[0]
+    c, is_settled = run.columns, run.columns["t_s"] >= run.metrics["settling_time_s"]
+    k = np.argmax(np.where(is_settled, c["error_true_m"], 0.0))
+    assert is_settled.any() and k != np.argmax(c["error_true_m"])
+    (ring,) = [place for mark, *place in drawn(made)["map"] if mark.get("full") is False]
+    np.testing.assert_allclose(ring, [[c["x_m"][k]], [c["y_m"][k]]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("zoom", field_run.ZOOMS)

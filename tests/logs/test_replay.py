@@ -468,6 +468,8 @@ def test_a_perturbed_replay_adds_the_noise_of_its_seed():
     added = one["x_meas_m"] - LOG["x_m"][::2].to_numpy()
     assert added.std() == pytest.approx(0.02, rel=0.15)
     assert abs(scores.yaw_error(one)[0]) > 0.2
+    with pytest.raises(ValueError, match="clockwise"):
+        scores.perturbed_replay(LOG.assign(yaw_rate_radps=-LOG["yaw_rate_radps"]), 1)
 
 
 def test_outliers_reach_the_measurements_and_hardly_the_estimates():

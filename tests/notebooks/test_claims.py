@@ -985,6 +985,28 @@ def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side():
     np.testing.assert_allclose(found[["off_unicycle_m", "sideways_mps"]], 0, atol=1e-9)
 
 
+def test_the_cost_of_a_straight_drive_beside_the_path_is_that_of_its_offset():
+    """On each interval, and on the last with the weight of the end."""
+    speed, mu, kappa, offset_m = next(experiments._draw_states(1))
+    n = paper.HORIZON
+    poses, cost = experiments._drive_and_cost((0.0, offset_m, 0.0), (speed, mu, kappa), np.zeros(n))
+    ahead_m = mu * speed * paper.DT_S * np.arange(1, n + 1)
+    np.testing.assert_allclose(
+        poses, np.column_stack([ahead_m, offset_m + 0 * ahead_m, 0 * ahead_m])
+    )
+    _, weight, _ = paper.Q3
+    assert cost == pytest.approx(weight * offset_m**2 * (n - 1 + paper.QN_FACTOR) / 2)
+
+
+def test_the_share_of_sigma_that_is_left_is_of_the_second_half():
+    P = np.zeros((10, 6, 6))
+    P[:, 4, 4] = np.square([2.0, *[9.0] * 4, *[1.0] * 5])
+    P[:, 5, 5] = np.square([1.0, *[9.0] * 4, *[0.5] * 4, 1.0])
+    assert experiments._sigma_left(P) == pytest.approx(
+        dict(sigma_mu_left=0.5, sigma_kappa_left=0.6)
+    )
+
+
 def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
     off = experiments.certainty_equivalence(4.0)["off_radps"]
     assert len(off) == 20 and off.max() < 1e-9

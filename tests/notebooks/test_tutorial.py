@@ -176,12 +176,28 @@ def test_an_estimator_must_learn(virtual_machine):
     assert tutorial_checks.estimator(
         estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first
     ).right
-    for wrong, said in [
-        (estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu - 0.1 * ahead, 0), 1)), "below zero"),
+    backwards = estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu - 0.1 * ahead, 0), 1))
+    answer = tutorial_checks.estimator(backwards, first)
+    assert not answer.right and "below zero" in answer.sentence
+
+
+def function_of(n_z=4, n_estimate=6, n_after=2):
+    memory, z = ca.SX.sym("memory", 2), ca.SX.sym("z", n_z)
+    return ca.Function("wrong", [memory, z], [ca.SX(n_after, 1), ca.SX(n_estimate, 1)])
+
+
+@pytest.mark.parametrize(
+    "wrong, said",
+    [
         ("rhe", "is a str"),
-    ]:
-        answer = tutorial_checks.estimator(wrong, first)
-        assert not answer.right and said in answer.sentence
+        (function_of(n_z=3), "z has 3 entries"),
+        (function_of(n_estimate=5), "estimate has 5 entries"),
+        (function_of(n_after=3), "as long as the one that goes in"),
+    ],
+)
+def test_what_is_no_estimator_is_told_before_a_drive(wrong, said):
+    answer = tutorial_checks.estimator(wrong, estimator(lambda mu, ahead: 0.9))
+    assert not answer.right and said in answer.sentence
 
 
 def strip(mu=(0.6, 0.9), kappa=(0.5, 0.8), start=-10.0, end=46.0, cell=0.5, edges=(20, 25)):
