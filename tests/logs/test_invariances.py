@@ -20,7 +20,7 @@ TURNED = "y_m", "yaw_rate_radps", "yaw_true_rad", "y_true_m", "yaw_rate_true_rad
 
 
 def log_with_a_gyro():
-    log = recorded_log(duration_s=50.0, noise_m=0.02)
+    log = recorded_log(duration_s=40.0, noise_m=0.02)
     noise = 0.01 * np.random.default_rng(5).standard_normal(len(log))
     return log.assign(gyro_radps=log["yaw_rate_true_radps"] + 0.004 + noise)
 
@@ -122,7 +122,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.nightly(keep=3)
+@pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_is_said_of_a_log_follows(name):
     change = CHANGES[name]
