@@ -31,7 +31,11 @@ DRAWN = ("fig99_line", "fig05_dot", "square")
 def executed(tmp_path):
     """A notebook that saved a figure, as the runner leaves it."""
     saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "table_one", "One")'
-    more = v4.new_code_cell('style.save(figure, "fig05_dot")\nstyle.save(figure, "square")')
+    dots = {"image/png": b64encode(b"dots").decode(), "text/html": "<img>", "text/plain": "Figure"}
+    more = v4.new_code_cell(
+        'style.save(figure, "fig05_dot")\nstyle.save(figure, "square")',
+        outputs=[v4.new_output("display_data", dots)],
+    )
     widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
     cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
@@ -76,7 +80,9 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     # A picture of the paper that has another caption is numbered by its name, others are not.
     assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
     assert pages_in_no_menu(source) == {"index"}
-    cell = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells[1]
+    cells = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells
+    assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
+    cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
 

@@ -506,3 +506,6 @@ def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     monkeypatch.setattr(made, "_show_status", lambda text, *kind: said.append(text))
     made.inputs["r"].value = 20.0
     assert optimised == [2] and not [text for text in said if "compiling" in text]
+    monkeypatch.setattr(explorer.early, "is_compiled", lambda *structure: False)
+    made.inputs["r"].value = 30.0
+    assert "compiling for the first time: the last picture stays" in said
