@@ -43,7 +43,8 @@ _MOST = 10.0
 _FIRST = 0.01
 _EVALUATIONS = 40
 _UNUSABLE = 1e12  # the objective where a filter diverges
-_SCORES = ("yaw_rms_rad", "inside_95", "bad_unsure", "good_unsure")  # of `scores.score`
+_SHARES = ("inside_95", "bad_unsure", "good_unsure")
+_SCORES = ("yaw_rms_rad", *_SHARES)  # of `scores.score`
 
 
 def _noisy(log, seed):
@@ -249,14 +250,14 @@ def of_the_page(rows):
     means = groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
     lines = []
     for (log, estimator, tuned), cells in means.iterrows():
-        error, *shares = cells
+        error = cells["yaw_rms_rad"]
         shipped = (log, estimator, "shipped")
         is_compared = tuned == "itself" and shipped in means.index
         if is_compared and means.loc[shipped, "yaw_rms_rad"] == error:
             continue
         about = dict(log=log, estimator=estimator, tuned=tuned)
         about |= dict(yaw_rms_rad=error.mean, low=error.low, high=error.high)
-        lines.append(about | {name: share.mean for name, share in zip(_SCORES[1:], shares)})
+        lines.append(about | {name: cells[name].mean for name in _SHARES})
     return pd.DataFrame(lines)
 
 

@@ -278,10 +278,13 @@ def find(recording):
     """
     with np.errstate(all="ignore"):
         as_it_is = explained(recording.rows)
-        if as_it_is is None or as_it_is[2] > _GOOD:
+        if as_it_is is None:
             return
-        kappa = max(as_it_is[1].value, 0.0)
+        _, slope, share = as_it_is
+        if share > _GOOD:
+            return
+        kappa = max(slope.value, 0.0)
         log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)
-        found = [*islice(tried(_HYPOTHESES, log, as_it_is[2]), 1)]
+        found = [*islice(tried(_HYPOTHESES, log, share), 1)]
     for _, finding in found:
         yield finding

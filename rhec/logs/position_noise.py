@@ -47,11 +47,10 @@ def _squares(part):
     drives = moves(speeds).to_numpy()[has_position]
     step_s = np.diff(part["t_s"].to_numpy()[has_position])
     is_dense = step_s <= _MOST_APART * np.median(step_s)
-    counts = sliding_window_view(is_dense, _POINTS - 1).all(axis=1) & sliding_window_view(
-        drives, _POINTS
-    ).all(axis=1)
-    thirds = np.diff(part[_POSITION].to_numpy()[has_position], n=3, axis=0)
-    return (thirds**2).sum(axis=1)[counts] / 20
+    dense_throughout = sliding_window_view(is_dense, _POINTS - 1).all(axis=1)
+    drives_throughout = sliding_window_view(drives, _POINTS).all(axis=1)
+    thirds = np.diff(part[_POSITION].to_numpy()[has_position], n=_POINTS - 1, axis=0)
+    return (thirds**2).sum(axis=1)[dense_throughout & drives_throughout] / 20
 
 
 def declared_m(rows):

@@ -410,9 +410,10 @@ def _split_at_jumps(rows):
         How many are, and by how much the positions jump [m], a list.
     """
     there = rows.loc[rows[_POSITION[0]].notna(), ["segment", *_POSITION]]
-    # A position astray, and a jump, are farther than this from a neighbour.
-    farthest_m = np.abs(np.diff(there[_POSITION].to_numpy(), axis=0)).max(initial=0.0)
-    if farthest_m <= min(_ASTRAY_M / (_ABOUT - 1), _FAR_M):
+    # The positions that are compared are at most _ABOUT - 1 steps apart: where all steps are this
+    # short none can be astray, and none is a jump.
+    longest_step_m = np.abs(np.diff(there[_POSITION].to_numpy(), axis=0)).max(initial=0.0)
+    if longest_step_m <= min(_ASTRAY_M / (_ABOUT - 1), _FAR_M):
         return 0, []
     about = there.groupby("segment")[_POSITION].transform(
         lambda place: place.rolling(_ABOUT, center=True, min_periods=1).median()

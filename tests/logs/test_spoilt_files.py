@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import TRACK_WIDTH_M, recorded_log
 from spoilt_logs import in_rows_of_their_own
-from written_bags import START_NS, fix, joint_state, odometry, write_bag
+from written_bags import START_NS, fix, joint_state, odometry, twist, write_bag
 
 import rhec
 
@@ -35,6 +35,8 @@ TABLES = {
     "with a row of units": (csv(TABLE).replace("\n", "\ns,m,m,m/s,rad/s\n", 1), []),
     "cut in its last line": (csv(TABLE)[:-20], []),
     "of sensors in rows of their own": (csv(in_rows_of_their_own(TABLE)), []),
+    "without rows": (csv(TABLE[:0]), ["Log was DataFrame without rows; it should be a DataFrame "
+                                      "with rows."]),
     "without a header": (
         csv(TABLE, header=False),
         [f"{MISSING.format('t_s, x_m, y_m, speed_mps, yaw_rate_radps')}; it has 0, 1, 2, 3, 4 "
@@ -81,7 +83,7 @@ def test_a_track_width_in_cm_is_named():
     assert "v_right_mps by track_width_m may be in another unit" in said.fact
 
 
-def drive(is_stamped=True, no_fix=()):
+def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
     """Messages of a receiver and of joints, at 5 Hz."""
     messages = []
     for row in LOG.iloc[::2].itertuples():
@@ -89,25 +91,26 @@ def drive(is_stamped=True, no_fix=()):
         latitude = 46.78 + np.rad2deg(row.y_m / 6.3716e6)
         longitude = -71.27 + np.rad2deg(row.x_m / (6.3895e6 * np.cos(np.deg2rad(46.78))))
         status = -1 if no_fix and no_fix[0] < row.t_s < no_fix[1] else 0
-        wheels = joint_state(row.v_left_mps / RADIUS_M, row.v_right_mps / RADIUS_M)
+        at = stamp + round(1e9 * fix_ahead_s) * is_stamped
         place = fix(latitude, longitude, status)
+        wheels = joint_state(row.v_left_mps / RADIUS_M, row.v_right_mps / RADIUS_M)
         messages += [
-            ("/fix", "sensor_msgs/msg/NavSatFix", stamp, place),
+            ("/fix", "sensor_msgs/msg/NavSatFix", at, place),
             ("/joints", "sensor_msgs/msg/JointState", stamp, wheels),
         ]
     return messages
 
 
-def odometry_alone():
-    return [
-        (
-            "/odom",
-            "nav_msgs/msg/Odometry",
-            START_NS + round(1e9 * row.t_s),
-            odometry(row.x_m, row.y_m, row.speed_mps, row.yaw_rate_radps),
-        )
-        for row in LOG.iloc[::2].itertuples()
-    ]
+def of_odometry(kind):
+    odom = ("/odom", "nav_msgs/msg/Odometry")
+    topic = odom if kind == "odom" else ("/cmd_vel", "geometry_msgs/msg/Twist")
+    messages = []
+    for row in LOG.iloc[::2].itertuples():
+        speeds = (row.speed_mps, row.yaw_rate_radps)
+        command = lambda store, stamp, speeds=speeds: twist(store, *speeds)  # noqa: E731
+        message = odometry(row.x_m, row.y_m, *speeds) if kind == "odom" else command
+        messages.append((*topic, START_NS + round(1e9 * row.t_s), message))
+    return messages
 
 
 # name: (function of messages, options, [all that is said, or the end of the refusal])
@@ -118,6 +121,11 @@ BAGS = {
         partial(drive, no_fix=(60.0, 70.0)),
         ROBOT,
         ["The positions are missing for up to 10.0 s while the robot moves."],
+    ),
+    "positions by GPS time": (
+        partial(drive, fix_ahead_s=18.0),
+        ROBOT,
+        [],  # the recorder's clock is one
     ),
     "no radius": (
         drive,
@@ -133,10 +141,17 @@ BAGS = {
          "y_m."],
     ),
     "odometry alone": (
-        odometry_alone,
+        partial(of_odometry, "odom"),
         {},
         "the bag's only positions are those of /odom, which are the integral of its own speeds; "
         "record a receiver, or topics=('/odom',) reads them as real positions",
+    ),
+    "commands alone": (
+        partial(of_odometry, "cmd"),
+        {},
+        "no topic for positions (NavSatFix, PoseStamped, PoseWithCovarianceStamped, Odometry) "
+        "among /cmd_vel (geometry_msgs/msg/Twist); columns={'x_m': '/topic.field'} of "
+        "rhec.logs.read reads fields of any type",
     ),
 }  # fmt: skip
 
@@ -155,6 +170,8 @@ def test_all_that_is_said_of_a_spoilt_bag(tmp_path, name):
     log = rhec.logs.read(file, **options)
     found = rhec.doctor(log, track_width_m=width_m).findings
     assert [finding.sentence for finding in found] == said
-    recorder = "by the recorder, because 750 of 750 headers of /fix have no"
-    clock = recorder if name == "headers without stamps" else "by the headers"
-    assert log.attrs["inferred"]["time"].startswith(clock)
+    clock = {
+        "headers without stamps": "by the recorder, because 750 of 750 headers of /fix have no",
+        "positions by GPS time": "by the recorder, because the headers of /fix and /joints have",
+    }
+    assert log.attrs["inferred"]["time"].startswith(clock.get(name, "by the headers"))

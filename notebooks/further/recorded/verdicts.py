@@ -188,7 +188,7 @@ def judged(log, known=None, **options):
 
 
 def of_summary(summary, known=None):
-    """As `judged`, of what `rhec.log` has said."""
+    """The row of `judged`, from the Summary that `rhec.log` has returned."""
     row = dict(is_trusted=summary.verdict.startswith("Trust it"), verdict=summary.verdict)
     row |= {name: summary.numbers[name] for name in ("inflation", "hidden", "hidden_covered")}
     for name, samples in (("way", summary.way), ("smoothed", summary.samples)):

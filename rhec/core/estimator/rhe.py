@@ -674,42 +674,45 @@ def build_phases(window):
     `step` runs all phases; it maps (memory, z_N, V, c, W, m_0, P_0) to (memory, estimate, …), with
     m_0 if the judge doubts the model.
     """
-    phases, symbols = _build_judged_phases(window)
-    phases.pop(ITERATED, None)  # for `improve` alone
-    return phases | dict(step=_build_step(phases, window.memory, symbols))
+    phases = build_live_phases(window)
+    return phases | dict(step=_build_step(phases, window.memory, _calling_symbols(window)))
 
 
 def build_live_phases(window):
-    """The phases of a live object, which runs one after the other and needs no `step`.
+    """The phases of a live object, which calls one after the other and needs no `step`.
 
-    Where there is no compiler `step` repeats them all, which would take a fifth of the set-up.
+    Without a compiler `step` would contain all of them once more.
     """
-    phases, _ = _build_judged_phases(window)
-    phases.pop(ITERATED, None)
+    phases = _build_judged_phases(window)
+    phases.pop(ITERATED, None)  # for `improve` alone
     return phases
 
 
+def _calling_symbols(window):
+    """The kind of symbols (SX or MX) of Functions that call the phases."""
+    # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
+    is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
+    return window.loop_symbols if is_closed_form else ca.MX
+
+
 def _build_judged_phases(window):
-    """The phases with those of the judge, and the symbols of Functions that call them.
+    """The phases with those of the judge.
 
     If `solve` needs a feedback of its own, which is told the iteration, it is there as ITERATED.
     """
-    # More than two bounds need pivoting, or the interior point: Functions that SX cannot call.
-    is_closed_form = len(window.interval.bounds) <= 2 and not window.model.state_bounds
-    symbols = window.loop_symbols if is_closed_form else ca.MX
     if window.model.state_bounds:
         free = _build_plain_phases(window_bounds.without_bounds(window), whole_window=True)
         phases = window_bounds.with_bounds(window, free, _build_next_window(window))
     else:
         phases = _build_plain_phases(window, whole_window=window.doubts_model)
     if window.judge:
-        phases = with_guard(window, phases, symbols)
-    return phases, symbols
+        phases = with_guard(window, phases, _calling_symbols(window))
+    return phases
 
 
 def build_solvable(window):
-    """The phases of a live object, and `improve`: by a line search `solve` iterates."""
-    phases, _ = _build_judged_phases(window)
+    """The phases of a live object, and `improve`, by which `solve` iterates with a line search."""
+    phases = _build_judged_phases(window)
     improve = _build_improve(window, phases)
     phases.pop(ITERATED, None)
     return phases | {IMPROVE: improve}
