@@ -87,8 +87,8 @@ function draw_field(plot, view, see, back) {
   });
 }
 
-// Both tracks: ring at the tip of the way of a second that was commanded, arrow for the way over
-// ground.
+// Both tracks: a ring where the track would be after a second as commanded, an arrow to where it is
+// after a second over ground.
 function draw_robot_on_tracks(plot, view, see) {
   const { pose, robot_m: [length, width], track_width_m: apart, commanded_mps, ground_mps } = view;
   const out = placed_at(pose);
