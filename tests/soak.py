@@ -168,6 +168,8 @@ def main():
     parser.add_argument("--legs", type=int, default=667, help="of five minutes: 667 are 2.3 days")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    if options.legs < 1:
+        parser.error(f"--legs was {options.legs}; it should be at least 1")
     began, memory_mb = time.monotonic(), []
     for found, lowest in drive(Scenario(), options.seed, options.legs):
         memory_mb.append(resident_mb())

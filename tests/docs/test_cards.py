@@ -114,8 +114,10 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
     """Our number and the paper's are as far apart as on a card without that rival."""
     row = next(row for row in DRAWN if row["id"] == "B5")
     alone = cards.interval(row | dict(other_n=0, other_value=""))
-    for far, side in ((-1e3, -1), (1e3, 1)):
-        ends = dict(other_low=far - 100.0, other_high=far + 100.0)
+    for far, half in ((-1e3, None), (1e3, None), (-1e3, 100.0), (1e3, 100.0)):
+        side = np.sign(far)
+        low, high = ("", "") if half is None else (far - half, far + half)
+        ends = dict(other_low=low, other_high=high)
         drawn = cards.interval(row | dict(other_n=9, other_value=far) | ends)
         assert drawn | dict(beyond=None, words="") == alone | dict(words="")
         _, edge, to, number = drawn["beyond"]

@@ -149,12 +149,15 @@ BACK = "falls back by {}; what follows counts as another drive"
 # {what is wrong: (log, pattern of each thing that is said of it, …)}
 WRONG = {
     "speed in km/h": (LOG.assign(speed_mps=3.6 * SPEED), "speed_mps may be in km/h .* 0.25 times"),
+    "speed in cm/s": (LOG.assign(speed_mps=100 * SPEED), "speed_mps may be in cm/s and should"),
     "speed in mm/s": (LOG.assign(speed_mps=1e3 * SPEED), "speed_mps is 566 .*in another unit"),
     "speed in knots": (
         LOG.assign(speed_mps=1.944 * SPEED),
         "^the positions go only 0.462 times as far as speed_mps says$",
     ),
     "positions in mm": (LOG.assign(x_m=1e3 * X, y_m=1e3 * Y), MOVING.format("mm", 905)),
+    "positions in cm": (LOG.assign(x_m=100 * X, y_m=100 * Y), MOVING.format("cm", 90.5)),
+    "positions in feet": (LOG.assign(x_m=3.28 * X, y_m=3.28 * Y), MOVING.format("feet", 2.96)),
     "degrees as metres": (LOG.assign(x_m=11.5 + X / 76e3, y_m=48 + Y / 111e3), "longitude and lat"),
     "yaw rate in degrees": (LOG.assign(yaw_rate_radps=np.rad2deg(TURN)), "in degrees per second"),
     "yaw rate clockwise": (LOG.assign(yaw_rate_radps=-TURN), "counted clockwise .* turns -0.754"),
@@ -171,11 +174,12 @@ WRONG = {
     "gyro in another unit": (gyro(scale=5e3), "gyro_radps is .* it may be in another unit"),
     "heading clockwise": (heading(sign=-1.0), "heading_rad may be counted clockwise"),
     "heading from north": (heading(offset=np.pi / 2), "heading_rad is 1.57 rad .* from north"),
-    "heading off by 0.7 rad": (heading(offset=0.7), "heading_rad is 0.696 rad from the dir"),
+    "heading of a compass that is mounted askew": (heading(offset=0.8), "heading_rad is 0.796 rad"),
     "heading in degrees": (heading(unit=180 / np.pi), "heading_rad may be in degrees .* rad: "),
     "rows in reverse": (LOG[::-1], "t_s falls 1499 times in 1500 rows; it may be in reverse"),
     "rows unsorted": (LOG.sample(frac=1.0, random_state=0), "t_s falls 755 times .* unsorted"),
     "time in ms": (LOG.assign(t_s=1e3 * T), "rows 100 s apart .median.; t_s may be in ms, or they"),
+    "time in ns": (LOG.assign(t_s=1e9 * T), "t_s may be in ns"),
     "time constant": (LOG.assign(t_s=7.0), "t_s can be used in 1 of 1500 rows; it may be constant"),
     "time rounded": (LOG.assign(t_s=SIX_DIGITS), "t_s can be used in 1 of 1500 rows"),
     "rows twice": (
@@ -213,6 +217,10 @@ WRONG = {
         in_rows_of_their_own(LOG, 18.0),
         "18 s ahead of .*, as GPS .*; position_delay_s=18 corr",
     ),
+    "positions 37 s behind": (
+        in_rows_of_their_own(LOG, -37.0),
+        "37 s behind that of .*; position_delay_s=-37 corr",
+    ),
     "positions 0.4 s late": (late(LOG, 4), "y_m come 0.39 ± 0.12 s later than"),
     "positions 0.3 s early": (late(LOG, -3), "seem to come 0.31 ± 0.11 s later than x_m"),
     "speed without a sign": (
@@ -225,6 +233,10 @@ WRONG = {
     ),
     "left encoder counts backwards": (by_sides(-1, 1), "^the left encoder may count backwards"),
     "right encoder counts backwards": (by_sides(1, -1), "^the right encoder may count backwards"),
+    "speed and yaw rate exchanged": (
+        LOG.assign(speed_mps=TURN, yaw_rate_radps=SPEED),
+        "^the left encoder may count backwards",
+    ),
     "speed of the map": (
         LOG.assign(speed_mps=SPEED * np.cos(LOG["yaw_true_rad"])),
         "is the speed along a fixed direction of the map, -?0.0",
@@ -283,6 +295,7 @@ WRONG = {
     "right encoder dead": (dead(1, 0), "the right encoder shows 0 for at least 2[3-6] s"),
     "both encoders dead": (dead(0, 0), "both encoders show 0 while the positions move, for 25 s"),
     "outliers": (change(BURST, x_m=X + 4.0), "52 of 1500 positions are farther from the last than"),
+    "a jump": (change(FAULTY, x_m=X + 3.0), "2 of 1500 positions are farther from the last than"),
     "carried by hand in a pause": (
         change(T > 80, t_s=T + 120, x_m=X + 3.0),
         "robot was 3.0 m away",
@@ -325,9 +338,12 @@ def nothing_estimated(monkeypatch):
 # Of each kind one is replayed always; the diagnosis of the others, by the same checks, is above.
 REPLAYED = [
     "speed in km/h",
+    "gyro clockwise",
     "rows unsorted",
+    "no numbers",
     "positions by GPS time",
     "positions 0.4 s late",
+    "carried by hand in a pause",
     "straight on",
 ]
 
@@ -364,12 +380,14 @@ def test_the_page_says_what_is_said():
 
 HEALTHY = {
     "simulated": LOG,
+    "slower": recorded_log(5.0, 120.0, noise_m=0.03),
     "to and fro": REVERSES,
     "starts again and again": along_curves(lambda t: 0.6 * np.clip(t % 10 - 2, 0, 1)),
     "faster and slower along a curve": along_curves(lambda t: 0.6 + 0.2 * np.sin(t)),
     "the example": EXAMPLE,
     "without noise": recorded_log(10.0, 100.0),
     "without slip": noisy(0.02, integrated()),
+    "without slip, noise of 5 mm": noisy(0.005, integrated()),
     "in UTM": LOG.assign(x_m=X + 5e5, y_m=Y + 5e6),
     "with a gyro": gyro(bias=0.02),
     "with a heading": heading(),
@@ -378,7 +396,9 @@ HEALTHY = {
     "in rows of their own": in_rows_of_their_own(LOG, 0.05),
     "one row late": late(LOG, 1),
     "a wrapped truth": LOG.assign(yaw_true_rad=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),
+    "noise of 0.1 m": noisy(0.1),
     "noise of 0.5 m": noisy(0.5),
+    "noise of 2 m": noisy(2.0),
     "a tenth of the positions": LOG.assign(**positions_of_every(10)),
     "much slip": LOG.assign(speed_mps=1.5 * SPEED, yaw_rate_radps=2 * TURN),
     "two drives": pd.concat([LOG.assign(segment="a"), LOG.assign(segment="b", x_m=X + 20)]),

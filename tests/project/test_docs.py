@@ -1,6 +1,7 @@
 """README and docs: what they name exists, their code runs, their tables are right."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -24,22 +25,26 @@ def places(text):
     """Files and folders named in code or links, with what they should define."""
     code = re.findall(r"`([\w./-]+/[\w./-]*)(?::(\w+))?`", text)
     links = [(link, "") for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]
-    return code + links
+    return [(path, defined) for path, defined in code + links if not path.startswith(MADE)]
 
 
 def test_every_file_that_is_named_exists():
     folders = [ROOT, ROOT / "docs"]
     for name, text in TEXT.items():
-        # Pictures of the README are in git; those of other pages are made.
-        made = MADE[1:] if name == "README.md" else MADE
         for path, defined in places(text):
-            if path.startswith(made):
-                continue
             found = [folder / path for folder in folders if (folder / path).exists()]
             assert found, (name, path)
             if defined:
                 source = found[0].read_text(encoding="utf-8")
                 assert re.search(rf"^(def|class) {defined}\b", source, re.M), (path, defined)
+
+
+def test_pictures_and_links_of_the_readme_are_in_git():
+    links = [link for link in re.findall(r"\]\(([^)#]+)", TEXT["README.md"]) if "://" not in link]
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if tracked.returncode:
+        pytest.skip("not a git checkout")
+    assert set(links) <= set(tracked.stdout.splitlines())
 
 
 def test_every_notebook_make_target_and_public_name_that_is_named_exists():
@@ -115,8 +120,17 @@ def test_no_result_on_recorded_robots_is_written_by_hand():
 
 
 def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
-    before, after = TEXT["README.md"].split("<!-- results answer -->")
+    lines = TEXT["README.md"].splitlines()
+    answer = lines.index("<!-- results answer -->")
+    end = lines.index("<!-- end -->")
+    assert end <= 40
+    before = " ".join(lines[:answer])
     assert "field data of the paper were never published" in before
-    assert "soil that was chosen so that the paper's" in " ".join(before.split())
-    answer, _ = after.split("<!-- end -->", 1)
-    assert (before + answer).count("\n") < 40
+    assert "soil that was chosen so that the paper's numbers are possible" in before
+    assert len(lines) <= 100 and all(len(line) <= 100 for line in lines if line[:1] != "|")
+    assert "make figures" in before and "make test" in before and before.count("<img") == 1
+    (sentence,) = re.findall(r"(?ms)^\*\*.*?\*\*$", "\n".join(lines[answer:end]))
+    assert sentence.count(". ") == 0 and sentence.endswith(".**")
+    rows = [line for line in lines[answer:end] if line.startswith("| ")]
+    assert [cell.strip() for cell in rows[0].split("|")[2:4]] == ["the paper", "W as printed"]
+    assert 6 <= len(rows) - 2 <= 7
