@@ -93,32 +93,41 @@ def dead_reckoned(told, log, begins, n):
     P = np.zeros((len(begins), 6, 6))
     P[:, 3:, 3:] = R
     H = np.eye(6)[3:]
+    t_s = log["t_s"].to_numpy()
     for k in range(1, n + 1):
-        dt_s = (log["t_s"].to_numpy()[begins + k] - log["t_s"].to_numpy()[begins + k - 1])[:, None]
+        dt_s = t_s[begins + k] - t_s[begins + k - 1]
         # The twist is a mean over the interval: it corrects the velocities that move the pose.
-        P[:, range(3, 6), range(3, 6)] += q[3:] * dt_s
+        P[:, range(3, 6), range(3, 6)] += dt_s[:, None] * q[3:]
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        m = m + np.einsum("nij,nj->ni", K, z[begins + k] - m[:, 3:])
+        m = m + times(K, z[begins + k] - m[:, 3:])
         P = (np.eye(6) - K @ H) @ P
-        dt_s = dt_s[:, 0]
-        cos, sin = (trig(m[:, 2] + m[:, 5] * dt_s / 2) for trig in (np.cos, np.sin))
-        moved = np.transpose(
-            [cos * m[:, 3] - sin * m[:, 4], sin * m[:, 3] + cos * m[:, 4], m[:, 5]]
-        )
+        middle = m[:, 2] + m[:, 5] * dt_s / 2
+        velocity = np.column_stack([times(turns_by(middle), m[:, 3:5]), m[:, 5]])
         A = np.tile(np.eye(6), (len(begins), 1, 1))
-        A[:, 0, 3] = A[:, 1, 4] = dt_s * cos
-        A[:, 0, 4], A[:, 1, 3] = -dt_s * sin, dt_s * sin
-        A[:, 0, 2], A[:, 1, 2] = -dt_s * moved[:, 1], dt_s * moved[:, 0]
+        A[:, :2, 3:5] = dt_s[:, None, None] * turns_by(middle)
+        A[:, 0, 2] = -dt_s * velocity[:, 1]
+        A[:, 1, 2] = dt_s * velocity[:, 0]
         A[:, 2, 5] = dt_s
-        m[:, :3] += dt_s[:, None] * moved
+        m[:, :3] += dt_s[:, None] * velocity
         P = A @ P @ A.transpose(0, 2, 1)
-        P[:, range(3), range(3)] += q[:3] * dt_s[:, None]
+        P[:, range(3), range(3)] += dt_s[:, None] * q[:3]
     there = truth[begins + n]
-    turn = np.tile(np.eye(3), (len(begins), 1, 1))
-    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(there[:, 2])
-    turn[:, 0, 1], turn[:, 1, 0] = np.sin(there[:, 2]), -np.sin(there[:, 2])
-    errors = np.einsum("nij,nj->ni", turn, m[:, :3] - there)
-    return errors, turn @ P[:, :3, :3] @ turn.transpose(0, 2, 1)
+    to_robot = np.tile(np.eye(3), (len(begins), 1, 1))
+    to_robot[:, :2, :2] = turns_by(-there[:, 2])
+    errors = times(to_robot, m[:, :3] - there)
+    return errors, to_robot @ P[:, :3, :3] @ to_robot.transpose(0, 2, 1)
+
+
+def times(matrices, vectors):
+    """The product of each matrix (n, i, j) with its vector (n, j)."""
+    return (matrices @ vectors[..., None])[..., 0]
+
+
+def turns_by(angles):
+    """Matrices (n, 2, 2) that turn by these angles to the left."""
+    cos = np.cos(angles)
+    sin = np.sin(angles)
+    return np.array([[cos, -sin], [sin, cos]]).transpose(2, 0, 1)
 
 
 def test_the_covariances_of_the_yaml_make_a_consistent_filter(learnt):
@@ -130,7 +139,7 @@ def test_the_covariances_of_the_yaml_make_a_consistent_filter(learnt):
     ]
     errors, P = map(np.concatenate, zip(*found))
     inside = np.abs(errors) <= 1.96 * np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    squares = np.einsum("ni,ni->n", errors, np.linalg.solve(P, errors[..., None])[..., 0])
+    squares = (errors * times(np.linalg.inv(P), errors)).sum(axis=1)
     assert (inside.mean(axis=0) > 0.85).all() and 0.5 < squares.mean() / 3 < 2
 
 
