@@ -27,9 +27,9 @@ def map_runs(function, scenarios):
     return [results[place] for place in range(len(scenarios))]
 
 
-def _of_part(function, part, mean_samples):
+def _of_part(function, part):
     """{place: result} of {place: scenario}."""
-    return dict(zip(part, simulate_batch(part.values(), function, mean_samples)))
+    return dict(zip(part, simulate_batch(part.values(), function)))
 
 
 def drive(groups, folder=None, workers=None):

@@ -11,20 +11,15 @@ import numpy as np
 
 from rhec import paper
 from rhec.core import runner
-from rhec.core._casadi import compiled
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.store import PLAIN
 from rhec.simulation.parts import blocks_of
 from rhec.tracked_robot import terrain
 
-# Compiling lanes takes up to eight seconds and pays from this number of samples per loop structure.
-_WORTH_COMPILING = 150_000
-# Loops share the parts that take longest to compile. So where those of a campaign reach that number
-# together, lanes pay from this part of it: they take a second or two, as the loop of one run does.
-_PART_OF_A_LOOP = 1 / 3
-# Loading compiled lanes pays from this number of samples per loop structure.
-_WORTH_LOADING = 10_000
+# Compiling the lanes of a loop takes 1 to 4 s of processor time; the loop of a single run 0.5 to 1 s,
+# after which a sample takes eight times as long. Both cost the same from this number of samples on.
+_WORTH_COMPILING = 40_000
 # Samples in one task. A task takes about a second, which is the work that an interruption loses.
 _TASK = 40_000
 _TASK_IN_LANES = 400_000
@@ -118,14 +113,10 @@ class Plan:
 
     def worth_lanes(self):
         """Return one scenario for each loop of which compiling the lanes pays."""
-        if self.samples < _WORTH_COMPILING:
-            return []
-        enough = self.mean_samples >= _WORTH_COMPILING  # for all loops
-        least = 0 if enough else _PART_OF_A_LOOP * _WORTH_COMPILING
         _, first = np.unique(self._loops, return_index=True)
         samples = np.bincount(self._loops, self._lengths)
         scenarios = list(self.scenarios.values())
-        return [scenarios[place] for place in first[samples >= least]]
+        return [scenarios[place] for place in first[samples >= _WORTH_COMPILING]]
 
 
 def compile_lanes(scenario):
@@ -134,12 +125,11 @@ def compile_lanes(scenario):
         lanes.load(closed_loop.build_sample, *closed_loop.set_up(scenario).structure)
 
 
-def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics")):
-    """Run the scenarios that can run in lanes.
+def run_in_lanes(scenarios, result_of=operator.attrgetter("metrics")):
+    """Run the scenarios of whose loops the lanes are compiled.
 
     Args:
         scenarios: {key: scenario}.
-        mean_samples: That of the Plan of the whole campaign.
         result_of: Function of a Run that returns the result.
 
     Returns:
@@ -162,7 +152,7 @@ def run_in_lanes(scenarios, mean_samples, result_of=operator.attrgetter("metrics
         except _NO_SETUP:
             continue
         if setup.structure not in blocks:
-            blocks[setup.structure] = _load_block(setup.structure, mean_samples)
+            blocks[setup.structure] = _load_block(setup.structure)
         block = blocks[setup.structure]
         if not block or count_samples(scenario) * block.lanes > _MAX_SAMPLES_IN_MEMORY:
             continue
@@ -189,13 +179,12 @@ def _set_up(scenario, relative, soil_settings):
     return replace(relative, settings=settings, terrain=soil)
 
 
-def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
+def simulate_batch(scenarios, result_of=lambda run: run):
     """Run scenarios in lanes if that is faster, and the others one by one.
 
     Args:
         scenarios: Scenarios, in any order.
         result_of: Function of a Run; its result must not be empty or 0.
-        mean_samples: That of the Plan of the batch of which these are a part.
 
     Returns:
         A list of result_of(run), in the order of the scenarios.
@@ -203,9 +192,9 @@ def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
     numbered = dict(enumerate(scenarios))
     if not numbered:
         return []
-    if mean_samples is None:
-        mean_samples = Plan(numbered).mean_samples
-    in_lanes = run_in_lanes(numbered, mean_samples, result_of)
+    for scenario in Plan(numbered).worth_lanes():
+        compile_lanes(scenario)
+    in_lanes = run_in_lanes(numbered, result_of)
     return [
         in_lanes.get(k)
         or result_of(closed_loop.simulate_setup(scenario, closed_loop.set_up(scenario)))
@@ -213,15 +202,10 @@ def simulate_batch(scenarios, result_of=lambda run: run, mean_samples=None):
     ]
 
 
-def _load_block(structure, mean_samples):
-    """Return the compiled lanes of a structure, or None if they do not pay or do not exist."""
+def _load_block(structure):
+    """Return the compiled lanes of a structure, or None if there are none."""
     sample = closed_loop.build_sample, *structure
-    if mean_samples < _WORTH_COMPILING:
-        # A few runs use existing lanes only if the scalar loop would have to be compiled.
-        few = mean_samples < _WORTH_LOADING and compiled.is_compiled(*sample)
-        if few or not lanes.is_compiled(*sample):
-            return None
-    return lanes.load(*sample)
+    return lanes.load(*sample) if lanes.is_compiled(*sample) else None
 
 
 def _run_group(block, group, noise, result_of):

@@ -209,8 +209,8 @@ def run_all(scenarios, workers, run_task):
     Args:
         scenarios: {key: scenario}.
         workers: That of `campaign`.
-        run_task: Function of a part of the scenarios, and of `mean_samples`, that of the Plan of
-            all; it returns {key: result}, and other processes can import it.
+        run_task: Function of a part of the scenarios that returns {key: result}, and that other
+            processes can import.
 
     Yields:
         {key: result}, which may be empty; the result of a run that kills its workers is None.
@@ -222,7 +222,6 @@ def run_all(scenarios, workers, run_task):
     # Lanes are compiled first, in parallel; otherwise workers would wait for one another.
     for _ in map_tasks(pool, compile_lanes, plan.worth_lanes()):
         yield {}  # lets the caller check the compiler
-    run_task = functools.partial(run_task, mean_samples=plan.mean_samples)
     tasks = plan.tasks(_TASKS_PER_WORKER * pool.count if pool else 1)
     for _ in range(2):
         lost = yield from _finished(map_tasks(pool, run_task, tasks))
@@ -272,10 +271,10 @@ def _one_by_one(pool, function, tasks):
         yield from map_tasks(pool, function, [task])
 
 
-def _run_task(scenarios, mean_samples, readings):
-    """Return {key: row} of {key: scenario}; `mean_samples` is that of the campaign's Plan."""
+def _run_task(scenarios, readings):
+    """Return {key: row} of {key: scenario}."""
     row_of = functools.partial(_row_of, readings)
-    in_lanes = run_in_lanes(scenarios, mean_samples, row_of)
+    in_lanes = run_in_lanes(scenarios, row_of)
     return {
         key: in_lanes[key] if key in in_lanes else _run_one(scenario, row_of)
         for key, scenario in scenarios.items()
