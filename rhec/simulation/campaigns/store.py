@@ -54,7 +54,7 @@ def scenario_key(scenario):
 def _canonical_text(value):
     """Return a text that is unique for a value."""
     if isinstance(value, OwnStep):
-        return repr(value.identity)
+        return _digest_of_step(value)
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
     if is_dataclass(value):
@@ -64,6 +64,12 @@ def _canonical_text(value):
             texts[field.name] = entry if type(entry) in PLAIN else _canonical_text(entry)
         return repr(texts)
     return repr(value)
+
+
+@functools.lru_cache  # scenarios share it, and the text of a Function has up to a megabyte
+def _digest_of_step(own_step):
+    """Return a digest of all that tells an OwnStep from others."""
+    return hashlib.sha256(repr(own_step.identity).encode()).hexdigest()
 
 
 @functools.cache
