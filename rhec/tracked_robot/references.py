@@ -18,6 +18,8 @@ from rhec.tracked_robot.path import OPEN, Path, advance, ahead_and_left
 
 # Near the centre of an arc every point of it is equally close; this bounds Newton's steps there.
 _LEAST_SLOPE = 0.2
+_SEGMENTS_STEP = 12  # between the numbers of segments for which loops are compiled
+_BEYOND_M = 1e18  # an arc length that no robot reaches
 LEAST_KAPPA = 0.1  # a traction κ̂ near 0 must not ask for any yaw rate
 
 
@@ -34,6 +36,15 @@ def pose_at(s, segments, period_m):
     for before, after in zip(rows, rows[1:]):
         row = row + (s >= after[0]) * (after - before)
     return ca.vertcat(*advance(row[1], row[2], row[3], row[4], s - row[0], ca)), row[4]
+
+
+def with_common_number(segments):
+    """The segments (M, 5) of a path, and more that begin beyond any place, up to the next of a few
+    numbers, so that another path seldom needs compiling.
+    """
+    last = segments[-1]
+    beyond = (_BEYOND_M, *last[1:])
+    return np.vstack([segments, *[beyond] * (-len(segments) % _SEGMENTS_STEP)])
 
 
 def closest(xy, s, segments, period_m, iterations=2):

@@ -1,6 +1,7 @@
 """The closed loop: one source, live or fused, compiled or not, the same from run to run."""
 
 import dataclasses
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,10 @@ from oracles import flat
 import rhec
 from notebooks.rivals import RIVALS
 from rhec import paper
+from rhec.simulation import closed_loop
 from rhec.simulation.columns import ESTIMATE
 from rhec.tracked_robot import terrain
+from rhec.tracked_robot.path import Turns
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 MEASURED = ["x_meas_m", "y_meas_m"]
@@ -25,6 +28,11 @@ def simulated(**changes):
 
 def assert_equal_logs(one, other, atol=0.0):
     pd.testing.assert_frame_equal(one, other, rtol=0, atol=atol, check_exact=atol == 0)
+
+
+def test_all_patterns_of_turns_share_one_compiled_loop():
+    patterns = [dataclasses.replace(MINUTE, turns=turns) for turns in get_args(Turns)]
+    assert len({closed_loop.set_up(each).structure for each in patterns}) == 1
 
 
 # Seeds and noise

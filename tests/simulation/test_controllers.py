@@ -33,10 +33,10 @@ def test_ten_lines_steer_the_robot_to_its_path(estimator):
 def test_it_is_told_what_is_promised_and_remembers():
     """A step that checks its inputs against the settings, and counts the samples."""
     names = "memory s_0 x_ref u_ref lower upper Q QN R s_m covariance segments period_m speed_mps"
-    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 12), 1, 1, 1]
+    shapes = [1, 6, (3, 16), (1, 15), 1, 1, 3, 3, 1, 1, (4, 4), (5, 4), 1, 1, 1]
     names = [*names.split(), "disturbance"]
     given = {name: ca.SX.sym(name, *np.atleast_1d(size)) for name, size in zip(names, shapes)}
-    path = rhec.Path.rows(PLAIN.row_length_m, PLAIN.headland_radius_m)
+    path = rhec.Path.rows(PLAIN.row_length_m, PLAIN.headland_radius_m, turns="left")
     expected = dict(lower=-0.1, upper=0.1, Q=PLAIN.q, QN=10 * np.array(PLAIN.q), R=PLAIN.r)
     expected |= dict(segments=path.segments.T, period_m=path.length_m, speed_mps=-0.5)
     wrong = sum(ca.sumsqr(given[name] - ca.DM(value)) for name, value in expected.items())
@@ -45,7 +45,8 @@ def test_it_is_told_what_is_promised_and_remembers():
     wrong += (ca.norm_2(given["x_ref"][:2, 0] - given["s_0"][:2]) > 1.5) + (given["s_m"] < -1)
     results = dict(command=0, memory=given["memory"] + 1, kkt=given["memory"], ok=wrong < 1e-20)
     step = ca.Function("told", [*given.values()], [*results.values()], names, [*results], NAMED)
-    own = dataclasses.replace(PLAIN, backwards=True, controller=rhec.Controller(step, (5,)))
+    controller = rhec.Controller(step, (5,))
+    own = dataclasses.replace(PLAIN, turns="left", backwards=True, controller=controller)
     log = rhec.simulate(own).log
     assert log["ok"].all()
     np.testing.assert_array_equal(log["kkt_rhc"], 5 + np.arange(100))

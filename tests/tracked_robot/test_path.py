@@ -40,7 +40,8 @@ def references(n_segments, input_reference):
 
 def along(path, s, **given):
     """The references' Function on this path, with ordinary arguments where none are given."""
-    function = references(len(path.segments), given.pop("input_reference", "measured"))
+    segments = given.pop("segments", path.segments)
+    function = references(len(segments), given.pop("input_reference", "measured"))
     (pose,), _ = path.poses([s])
     given = (
         dict(
@@ -48,10 +49,20 @@ def along(path, s, **given):
         )
         | given
     )
-    result = function(segments=path.segments.T, period_m=path.period_m, **given)
+    result = function(segments=segments.T, period_m=path.period_m, **given)
     return {
         key: np.array(value) if value.numel() > 1 else float(value) for key, value in result.items()
     }
+
+
+@every_path
+def test_segments_that_fill_up_a_common_number_change_no_reference(name):
+    path = PATHS[name]
+    segments = refs.with_common_number(path.segments)
+    assert len(segments) % 12 == 0 and len(segments) - len(path.segments) < 12
+    for s in np.linspace(-5, path.length_m + 5, 9):
+        filled = along(path, s, segments=segments)
+        np.testing.assert_equal(filled, along(path, s))
 
 
 def test_a_path_may_be_given_as_lists():
