@@ -17,8 +17,8 @@ from rhec.simulation.campaigns.store import PLAIN
 from rhec.simulation.parts import blocks_of
 from rhec.tracked_robot import terrain
 
-# Compiling the lanes of a loop takes 1 to 4 s of processor time. The loop of a single run takes 0.5 to
-# 1 s, after which a sample takes eight times as long: lanes pay from this number of samples on.
+# Compiling the lanes of a loop takes 1 to 4 s of processor time. The loop of a single run takes
+# 0.5 to 1 s, but then eight times as long: lanes pay from this number of samples on.
 _WORTH_COMPILING = 40_000
 # Samples in one task. A task takes about a second, which is the work that an interruption loses.
 _TASK = 40_000
