@@ -24,7 +24,7 @@ from rhec.simulation.campaigns import store
 pytestmark = pytest.mark.nightly
 ROOT = Path(rhec.__file__).parents[1]
 DRIVES = 600
-DRIVES_WORTH_LANES = 130
+DRIVES_WORTH_LANES = 40
 # That of the user, whose compilers optimise: with those that `conftest` sets later, so many drives
 # would take minutes.
 ENVIRONMENT = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests")
