@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from docs.site import check_figures
-from notebooks.studies.answer import RESULTS
 from docs.site.check_figures import difference
+from notebooks.studies.answer import RESULTS
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
