@@ -203,7 +203,7 @@ class _RuleKind(NamedTuple):
 
 
 _EVERY_CASE = "every case"
-_SETTINGS = ("above", "below", "number", "within", "confidence")
+_SETTINGS = ("above", "below", "least", "number", "within", "confidence")
 _RULES = {
     "always": _RuleKind(statistics.always, _EVERY_CASE, "all"),
     "always_relative_to_oracle": _RuleKind(statistics.always_relative_to_oracle, _EVERY_CASE),
@@ -220,7 +220,8 @@ _RULES = {
 _KINDS = {"runs": "runs", "logs": "logs", "experiment": "experiments", "property": "experiments"}
 _ENTRIES = {"sentence", "quote", "test", "rule", "of", "departures", "paper", "other_worlds", "why"}
 _ENTRIES |= {"derived", "beside", "rival", "process_noises", "mended", *_KINDS}
-_OF_RULES = {"name", "above", "below", "within", "unit"}
+_BOUNDS = ("above", "below", "least", "within")
+_OF_RULES = {"name", "unit", *_BOUNDS}
 
 
 def _judge(evidence, confidence, rule, bounds, tables, expressions):
@@ -263,7 +264,7 @@ def _condition(entry, expressions, process_noise, instead):
     (kind,) = (kind for kind in _KINDS if kind in entry)
     settings = entry["rule"]
     rule = _RULES[settings["name"]]
-    bounds = {name: settings[name] for name in ("above", "below", "within") if name in settings}
+    bounds = {name: settings[name] for name in _BOUNDS if name in settings}
     if "number" in inspect.signature(rule.judge).parameters:
         bounds["number"] = entry["paper"]
     tables = tuple((process_noise, _KINDS[kind], instead.get(id_, id_)) for id_ in entry[kind])

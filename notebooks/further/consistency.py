@@ -186,11 +186,11 @@ def consistency_table(measured):
     rows = []
     for name, consistency in measured.items():
         for label, values, degrees in normalised(consistency):
-            interval = over_seeds(np.mean, values.mean(axis=1) / degrees)._asdict()
+            interval = over_seeds(np.mean, values.mean(axis=1) / degrees, least=0.0)._asdict()
             interval["inside"] = share_inside(values, degrees)
             rows.append(dict(estimator=name, quantity=f"{label}, mean") | interval)
         for state, squares in zip(consistency.states, mean_square_errors(consistency).T):
-            interval = over_seeds(root_of_mean, squares)._asdict()
+            interval = over_seeds(root_of_mean, squares, least=0.0)._asdict()
             rows.append(dict(estimator=name, quantity=f"RMS error over sigma, {state}") | interval)
     return pd.DataFrame(rows)
 

@@ -64,6 +64,7 @@ def replay_table(trials):
         trials.items(), _QUANTITIES.items()
     ):
         if column in of_seeds:
-            interval = over_seeds(np.mean, of_seeds[column])._asdict()
+            least = -np.inf if column.endswith("difference") else 0.0
+            interval = over_seeds(np.mean, of_seeds[column], least=least)._asdict()
             rows.append(dict(estimator=name, quantity=quantity) | interval)
     return pd.DataFrame(rows)

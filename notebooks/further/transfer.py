@@ -247,7 +247,8 @@ def of_the_page(rows):
     Where a calibration kept the defaults, its row says nothing and is left out.
     """
     groups = rows.groupby(["log", "estimator", "tuned"], sort=False)
-    means = groups.agg({name: lambda values: over_seeds(np.mean, values) for name in _SCORES})
+    mean = partial(over_seeds, np.mean, least=0.0)
+    means = groups.agg(dict.fromkeys(_SCORES, mean))
     lines = []
     for (log, estimator, tuned), cells in means.iterrows():
         error = cells["yaw_rms_rad"]

@@ -165,7 +165,7 @@ def rule_table(errors):
     for world, rule in dict.fromkeys((world, rule) for world, _, rule in errors):
         about = dict(world=world, rule=rule)
         for robot in _BY_RULE:
-            of_robot = over_seeds(np.mean, errors[world, robot, rule])
+            of_robot = over_seeds(np.mean, errors[world, robot, rule], least=0.0)
             rows.append(about | dict(robot=robot, quantity=ERROR) | of_robot._asdict())
         pair = (errors[world, robot, rule] for robot in (BOTH, TRACTION))
         row = about | dict(robot=BESIDE["the yaw drift"], quantity=RATIO)
@@ -189,7 +189,7 @@ def worth_table(errors):
         for robot in ROBOTS:
             of_robot = errors[world, robot, weights]
             row = about | dict(robot=robot, quantity=ERROR)
-            row |= over_seeds(np.mean, of_robot)._asdict()
+            row |= over_seeds(np.mean, of_robot, least=0.0)._asdict()
             rows.append(row | dict(lost=np.mean(of_robot > paper.TOLERANCE_M)))
         for what, *pair in WORTH:
             row = about | dict(robot=what, quantity=RATIO)

@@ -250,11 +250,12 @@ def one_at_a_time(baseline, seeds, folder=None):
     rows = []
     for name, (words, *_) in (interpretations | READINGS).items():
         for column, quantity in QUANTITIES.items():
-            value = statistics.mean(results[name][column])
+            least = -np.inf if column == "advantage_m" else 0.0
+            value = statistics.over_seeds(np.mean, results[name][column], least=least)
             moved = statistics.difference(results[name][column], usual[column])
             rows.append(
                 dict(interpretation=name, words=words, quantity=quantity)
-                | dict(value=value.value, low=value.low, high=value.high, change=moved.value)
+                | dict(value=value.mean, low=value.low, high=value.high, change=moved.value)
                 | dict(change_low=moved.low, change_high=moved.high, n=moved.n)
             )
     return pd.DataFrame(rows)

@@ -288,10 +288,11 @@ def root_of_mean(squares, axis):
 # bound. The interval that a Finding shows is always the one of 95 %.
 
 
-def _judged(statistic, samples, above, below, confidence):
+def _judged(statistic, samples, above, below, confidence, least=-np.inf):
     """The Finding of a statistic of paired samples; p by Student's t at the nearer bound."""
     value, error, freedom = _estimate(statistic, samples)
     low, high = _interval(value, error, freedom)
+    low = max(low, least)
     off = min(abs(value - above), abs(value - below))
     p = 2 * special.stdtr(freedom, -off / error) if error else np.nan
     outcome = verdict(*_interval(value, error, freedom, confidence), above, below)
@@ -309,9 +310,9 @@ def _checked(*samples):
     return samples
 
 
-def mean(values, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
-    """Judge that a mean lies between the bounds."""
-    return _judged(np.mean, _checked(values), above, below, confidence)
+def mean(values, above=-np.inf, below=np.inf, confidence=CONFIDENCE, least=-np.inf):
+    """Judge that a mean, which cannot be below `least`, lies between the bounds."""
+    return _judged(np.mean, _checked(values), above, below, confidence, least)
 
 
 def difference(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):

@@ -84,7 +84,7 @@ def read(file, printed):
 
 NOISES = read(FILE, _printed())
 # The speed model "slipping". Source: in the middle of what `rhec.calibrate` finds for four recorded
-# robots, three wheeled and one tracked. The noise grows with the motion of the tracks.
+# logs, three of robots with wheels and one with tracks. The noise grows with the motion.
 # Of (μ, κ), with the distance d that the tracks ran, as √d [1/√m].
 SLIPPING_NOISE = Noise((0.006, 0.01), paper.SIGMA_V)
 SLIP = dict(

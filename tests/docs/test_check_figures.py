@@ -1,5 +1,6 @@
 """The comparison of tables finds what differs; codecheck.yml names what the notebooks make."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import yaml
 
 from docs.site import check_figures
 from docs.site.check_figures import difference
+from notebooks.studies.answer import RESULTS
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
@@ -71,3 +73,17 @@ def test_each_file_for_a_codecheck_is_saved_by_the_notebook_that_it_names():
     for item in content["manifest"]:
         notebook = ROOT / item["comment"].partition(", by ")[2]
         assert Path(item["file"]).stem in notebook.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("file", sorted(RESULTS.rglob("*.csv")), ids=lambda file: file.stem)
+def test_only_a_difference_or_a_place_has_an_interval_that_goes_below_zero(file):
+    """Errors, counts and shares have none, neither in columns nor in words."""
+    if file.stem == "audit_order":
+        return  # each of its intervals is of a difference
+    table = pd.read_csv(file)
+    words = [" ".join(map(str, row)) for row in table.itertuples(index=False)]
+    signed = np.array([bool(re.search(" - |difference|rotation_centre", row)) for row in words])
+    for name in table.columns:
+        if re.search("(^|[_ ])(low|p5)$", name) and not re.search("change|drift", name):
+            assert not (table[name] < 0)[~signed].any(), name
+    assert not re.search(r"(mean|share|violations)[^;]*: [^;]* \[[-−]", ";".join(words))

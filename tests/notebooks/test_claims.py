@@ -135,6 +135,12 @@ def test_a_bound_that_is_touched_is_not_kept():
     assert statistics.mean([1.0]).verdict == UNDECIDED
 
 
+def test_the_interval_of_a_mean_ends_at_what_it_cannot_be_below_and_its_verdict_does_not():
+    rare = [0.0, 0.0, 1.0]
+    free, count = statistics.mean(rare, above=-0.5), statistics.mean(rare, above=-0.5, least=0)
+    assert free.low < -0.5 and count == free._replace(low=0.0) and count.verdict == UNDECIDED
+
+
 def test_p_and_interval_of_a_mean_and_of_a_share_are_those_of_their_tests():
     expected = stats.ttest_1samp(NORMAL, 0.1)
     found = statistics.mean(NORMAL, above=0.1)

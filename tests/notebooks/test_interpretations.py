@@ -106,6 +106,20 @@ def test_one_interpretation_at_a_time_is_compared_with_the_baseline_at_equal_see
     )  # G1 is the EKF's alone
 
 
+def test_a_rare_count_has_an_interval_from_zero_on_and_a_difference_has_not(monkeypatch):
+    names = ["mean_error_m", "mean_error_true_m", "mean_error_from_start_m", "violations"]
+    rare = pd.DataFrame(dict.fromkeys([*names, "rms_kappa"], [0.0, 0.0, 1.0]))
+    ekf = rare.assign(mean_error_true_m=0.0)
+    monkeypatch.setattr(
+        interpretations.run_sets,
+        "drive",
+        lambda scenarios, folder: {key: rare if key[1] == "rhe" else ekf for key in scenarios},
+    )
+    table = interpretations.one_at_a_time("prediction", 3)
+    assert ((table["low"] < 0) == (table["quantity"] == "true error, RHE - EKF [m]")).all()
+    assert (table["low"] <= 0).all() and (table["high"] > 1).all()
+
+
 def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine, monkeypatch):
     asked = []
     simulate = interpretations.simulate

@@ -1,9 +1,12 @@
 """README and docs: what they name exists, their code runs, their tables are right."""
 
+import importlib.util
+import json
 import re
 import subprocess
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from helpers import no_compiler
 
@@ -11,14 +14,28 @@ import rhec
 from docs.site import results
 from notebooks.further import transfer
 from notebooks.further.recorded import scores, verdicts
+from notebooks.studies import answer
 from rhec.logs.course import UNSURE_YAW_RAD
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+NOTEBOOKS = sorted((ROOT / "notebooks").rglob("*.ipynb"))
 # By make, not there in a fresh clone; and pages of the site, whose links its own tests follow.
 MADE = ("figures/", "build/", ".venv", "/")
+
+
+def markdown_of(notebook):
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+
+
+BENCHMARK = ROOT / "benchmark/README.md"
+# {page: text} of all that is written for readers
+WRITTEN = {page: TEXT[page.name] for page in PAGES}
+WRITTEN |= {BENCHMARK: BENCHMARK.read_text(encoding="utf-8")}
+WRITTEN |= {notebook: markdown_of(notebook) for notebook in NOTEBOOKS}
 
 
 def places(text):
@@ -29,14 +46,23 @@ def places(text):
 
 
 def test_every_file_that_is_named_exists():
-    folders = [ROOT, ROOT / "docs"]
-    for name, text in TEXT.items():
+    for page, text in WRITTEN.items():
+        folders = [ROOT, ROOT / "docs", page.parent]
         for path, defined in places(text):
             found = [folder / path for folder in folders if (folder / path).exists()]
-            assert found, (name, path)
+            assert found, (page, path)
             if defined:
                 source = found[0].read_text(encoding="utf-8")
                 assert re.search(rf"^(def|class) {defined}\b", source, re.M), (path, defined)
+
+
+def test_every_program_that_is_named_exists():
+    text = "\n".join(WRITTEN.values())
+    modules = re.findall(r"python -m ((?:benchmark|docs|notebooks)[\w.]*)", text)
+    files = re.findall(r"python (\w+/[\w./]*)", text)
+    assert "notebooks.studies.calibration" in modules and "tests/engine_costs.py" in files
+    assert [each for each in modules if importlib.util.find_spec(each) is None] == []
+    assert [each for each in files if not (ROOT / each).exists()] == []
 
 
 def test_pictures_and_links_of_the_readme_are_in_git():
@@ -50,8 +76,8 @@ def test_pictures_and_links_of_the_readme_are_in_git():
 def test_every_notebook_make_target_and_public_name_that_is_named_exists():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     targets = {*re.findall(r"^([a-z-]+):", makefile, re.MULTILINE)}
-    notebooks = {file.stem for file in (ROOT / "notebooks").rglob("*.ipynb")}
-    for name, text in TEXT.items():
+    notebooks = {file.stem for file in NOTEBOOKS}
+    for name, text in WRITTEN.items():
         rows = re.findall(r"^\| (?:II|III-A|III-B|IV|V) .*\| ([^|]+) \|$", text, re.MULTILINE)
         named = re.findall(r"\b(\w+)\.ipynb", text)
         named += [word for row in rows for word in re.findall(r"`(\w+)`", row)]
@@ -67,6 +93,22 @@ def test_the_worlds_are_named_and_the_default_one_has_its_values():
     for field, value in rows:
         expected = getattr(rhec.Scenario(), field)
         assert type(expected)(value.strip('"')) == expected, field
+
+
+def test_the_default_world_is_beside_the_posterior_where_its_page_says():
+    text = TEXT["world.md"]
+    posterior = pd.read_csv(answer.RESULTS / "inverse_default.csv").set_index("field")
+    ranges = re.findall(r"^\| `(\w+)` \|.*?([\d.]+) to ([\d.]+)", text, re.MULTILINE)
+    assert len(ranges) == 5
+    for field, *ends in ranges:
+        decimals = len(ends[0].partition(".")[2])
+        found = posterior.loc[field, ["p5", "p95"]]
+        assert [f"{end:.{decimals}f}" for end in found] == ends, field
+    near = posterior["quantile"].between(0.35, 0.65)
+    assert near.index[~near].tolist() == ["speed_mps"]
+    stated = pd.read_csv(answer.RESULTS / "inverse_statements.csv").set_index("statement")
+    share = stated.loc["mean error with the RHE 0.0423 m", "prior drives"]
+    assert f" {100 * share:.0f} % of the drives in worlds of the prior" in text
 
 
 def test_the_code_of_the_readme_runs(tmp_path, monkeypatch):
