@@ -10,12 +10,13 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
 from helpers import no_compiler
 from in_c import InC
-from loops import live_step
+from loops import live_step, own_estimator
 
 import rhec
 from notebooks.studies import toolchain
@@ -380,6 +381,18 @@ def test_export_is_reproducible_and_tells_of_every_field(exported, tmp_path):
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
     assert rhec.Scenario(**values) == PAPER
     assert {*fields} == {field.name for field in dataclasses.fields(rhec.Scenario)}
+
+
+def test_an_export_tells_of_an_own_estimator_and_path_what_they_compute(tmp_path):
+    own, path = own_estimator(), rhec.Path.racetrack(8.0, 4.0)
+    with no_compiler():
+        scenario = rhec.Scenario(estimator=own, path=path, duration_s=1.0)
+        folder = rhec.export(scenario, tmp_path / "own", estimator_only=True)
+    told = json.loads((folder / "scenario.json").read_text())
+    given = np.arange(own.numel_in(0)), [1.0, 2.0, 0.5, 0.1]
+    for one, other in zip(ca.Function.deserialize(told["estimator"]["step"])(*given), own(*given)):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(told["path"]["segments"], path.segments)
 
 
 def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):

@@ -653,6 +653,8 @@ def test_how_many_positions_count_is_always_said():
     few = rhec.doctor(LOG.assign(pos_ok=LOG.index % 4 == 0))
     assert few.ok
     assert few.facts["positions_usable"] == pytest.approx(0.25, abs=0.01)
+    half = rhec.doctor(LOG.assign(encoders_ok=LOG.index % 2)).facts["encoders_hz"]
+    assert half == pytest.approx(5, abs=0.01)
 
 
 @pytest.mark.parametrize(
