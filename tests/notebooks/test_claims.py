@@ -4,6 +4,7 @@ it is judged on is what the log shows.
 
 import collections
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -164,10 +165,13 @@ def test_the_root_of_a_mean_of_squares_is_their_rms():
 
 
 def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
-    """Of skewed numbers in all runs it is nearly what the intervals say."""
+    """Of skewed numbers in all runs it is nearly what the intervals say.
+
+    Tables that some looks have left shorter are compared where both have rows.
+    """
     metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
     samples = np.random.default_rng(0).lognormal(size=(99, 200, 4))
-    drawn = (pd.DataFrame(sample, columns=metrics) for sample in samples)
+    drawn = (pd.DataFrame(of[: 200 - n % 2], columns=metrics) for n, of in enumerate(samples))
     shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=200)
     assert {*shown["statistic"]} == {"mean", "difference_of_means", "ratio_of_means"}
     assert shown["coverage"].between(0.9, 0.99).all()
@@ -396,6 +400,40 @@ def test_a_rival_has_the_rhes_w_where_none_was_tuned_for_it():
             else:
                 assert scenario.sigma_w == tuning.NOISES["rhe"][rule].sigma_w[:entries]
                 assert scenario.sigma_v == tuning.NOISES["rhe"][rule].sigma_v
+
+
+def fields_of(kind, id_):
+    return dict(runs=run_sets.RUNS, logs=run_sets.LOGS)[kind][id_]
+
+
+def test_a_claim_s_words_have_the_numbers_of_its_drives():
+    """But for how long they last, from where the robot starts, and for noise that is none."""
+    for id_, claim in ledger.CLAIMS.items():
+        conditions = claim.rule.by_condition | claim.beside
+        words = {*re.findall(r"\d+(?:\.\d+)?", " ".join([claim.test, *conditions]))}
+        for _, kind, table in evidence.driven_tables_of(conditions.values()):
+            for name, value in fields_of(kind, table).items():
+                is_number = type(value) in (int, float) and name not in run_sets._NOISES
+                if is_number and name not in ("duration_s", "start_offset_m"):
+                    assert f"{value:g}" in words, (id_, table, name)
+
+
+def test_drives_on_the_first_row_end_before_its_end():
+    """By the set speed, and there is nothing to be seen of the headland."""
+    for kind, id_ in [("logs", "q2_slow"), ("logs", "q2_fast"), ("runs", "q3"), ("logs", "q2")]:
+        (scenario,) = run_sets.scenarios(fields_of(kind, id_), "printed", [0])
+        way_m = scenario.speed_mps * scenario.duration_s
+        assert 0.97 * scenario.row_length_m < way_m <= scenario.row_length_m
+
+
+def test_a_drive_without_disturbance_is_measured_as_it_is():
+    """On the same soil everywhere, whose tracks do not turn it to one side."""
+    fields = fields_of("logs", "ekf_undisturbed")
+    (scenario,) = run_sets.scenarios(fields, "printed", [3], dict(duration_s=4.0))
+    log = rhec.simulate(scenario).log
+    measured = log[["x_meas_m", "y_meas_m", "nu_meas_mps"]]
+    np.testing.assert_allclose(measured, log[["x_m", "y_m", "nu_mps"]], atol=1e-9)
+    assert np.ptp(log[["mu", "kappa"]].to_numpy(), axis=0).max() < 1e-12
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
@@ -682,6 +720,27 @@ def test_a_claim_in_worlds_follows_the_runs(monkeypatch):
     assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [FAILS] * 2
     chosen.update(advantage=0.5, raw_m=0.2)
     assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [LOST] * 2
+
+
+def test_every_claim_about_driving_is_judged_in_a_world(run, monkeypatch):
+    """By drives with its own controller and estimator, at the world's speed or its own."""
+    shown = run_sets.measured(run) | dict(mu_deviation=0.01, kappa_deviation=0.01)
+    asked = {}
+
+    def measure(scenarios, folder=None):
+        asked.update(scenarios["runs"] | scenarios["logs"])
+        return {name: pd.DataFrame([shown] * len(part)) for name, part in asked.items()}
+
+    monkeypatch.setattr(run_sets, "measure", measure)
+    verdicts = worlds.judge(ledger.CLAIMS, [dict(speed_mps=0.4)], 2)
+    published = pd.read_csv(RESULTS / "claims.csv").set_index("id")["posterior"]
+    assert {*verdicts} == {*published.dropna().index}
+    for (kind, id_, _), (one, other) in asked.items():
+        (usual,) = run_sets.scenarios(fields_of(kind, id_), "prediction", [0])
+        for name in ("estimator", "q", "r", "qn_factor", "look_ahead_m", "guess_yaw_rad"):
+            assert getattr(one, name) == getattr(usual, name)
+        assert one.speed_mps == fields_of(kind, id_).get("speed_mps", 0.4)
+        assert other.seed == one.seed + 1
 
 
 @pytest.mark.parametrize("w", ["prediction", "free", "fitted", "printed"])
