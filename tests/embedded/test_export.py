@@ -388,8 +388,9 @@ def test_export_is_reproducible_and_tells_of_every_field(exported, tmp_path):
 def test_an_export_tells_of_an_own_estimator_and_path_what_they_compute(tmp_path):
     own, path = own_estimator(), rhec.Path.racetrack(8.0, 4.0)
     with no_compiler():
-        scenario = rhec.Scenario(estimator=own, path=path, duration_s=1.0)
+        scenario = rhec.Scenario(estimator=own, path=path, duration_s=70.0)
         folder = rhec.export(scenario, tmp_path / "own", estimator_only=True)
+    assert len(log_of(folder)) == 60.0 / paper.DT_S  # the example is not longer
     told = json.loads((folder / "scenario.json").read_text())
     given = np.arange(own.numel_in(0)), [1.0, 2.0, 0.5, 0.1]
     for one, other in zip(ca.Function.deserialize(told["estimator"]["step"])(*given), own(*given)):

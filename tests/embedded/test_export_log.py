@@ -107,6 +107,10 @@ def test_operations_are_counted_through_calls_branches_and_loops():
     y = ca.MX.sym("y")
     twice = ca.Function("twice", [y], [long(long(y))])
     assert operations(twice) == 2 * operations(long) + 2  # an input and an output
+    four, five = (ca.MX.sym("A", 3, n) for n in (4, 5))
+    products = [ca.Function("of", [A], [A @ ca.MX.ones(A.size2())]) for A in (four, five)]
+    # A product and a sum for each of three rows, and a constant.
+    assert operations(products[1]) - operations(products[0]) == 2 * 3 + 1
 
 
 def test_an_estimator_alone_has_no_controller(tmp_path):

@@ -988,6 +988,17 @@ def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
     assert len(one) == 100
 
 
+def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine, monkeypatch):
+    """No process noise, soil or computer affects it."""
+    monkeypatch.setattr(experiments, "parallel_map", map)
+    claims = {id_: ledger.CLAIMS[id_] for id_ in "S2 S3 S5 N2 A6 K1".split()}
+    _, findings, beside, looks = evidence.collect(claims, [1000])
+    columns = ["value", "low", "high", "n", "verdict", "confidence", "beside"]
+    found = ledger.ledger(findings, looks, beside, {}, claims).set_index("id")[columns]
+    published = pd.read_csv(RESULTS / "claims.csv").set_index("id").loc[[*claims], columns]
+    pd.testing.assert_frame_equal(found.replace("", np.nan), published, rtol=1e-6, atol=1e-9)
+
+
 def test_each_field_of_the_arrival_costs_is_driven_once():
     tasks = experiments._tasks("prediction", "arrival_cost", 300)
     assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
