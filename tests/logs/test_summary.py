@@ -62,18 +62,25 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     assert told["traction"]["κ"]["low"] == pytest.approx(summary.traction.loc["κ", "low"])
 
 
+def assert_told(text, where, rel):
+    """A text is as the docs show it behind these words, and so are its numbers, to `rel`."""
+    documented = re.search(rf"{where}:\n\n((?:    .*\n)+)", PAGE.read_text("utf-8"))[1]
+    documented = textwrap.dedent(documented).strip()
+    number = r"\d+(?:\.\d+)?"
+    assert re.sub(number, "0", text) == re.sub(number, "0", documented)
+    said, expected = ([*map(float, re.findall(number, each))] for each in (text, documented))
+    assert said == pytest.approx(expected, rel=rel)
+
+
 def test_the_command_prints_the_page_of_the_docs_and_writes_all(capsys, tmp_path):
     """Its words are those of the docs, and its numbers to a tenth: processors round otherwise."""
     out = tmp_path / "out"
     words = ["log", str(make_example_log.FILE), "--output", str(out)]
     assert main(words) == 0
     page, written = capsys.readouterr().out.strip().split("\nWritten: ")
-    documented = re.search(r"the page is:\n\n((?:    .*\n)+)", PAGE.read_text("utf-8"))[1]
-    documented = textwrap.dedent(documented).strip()
-    number = r"\d+(?:\.\d+)?"
-    assert re.sub(number, "0", page) == re.sub(number, "0", documented)
-    said, expected = ([*map(float, re.findall(number, each))] for each in (page, documented))
-    assert said == pytest.approx(expected, rel=0.1)
+    assert_told(page, "the page is", rel=0.1)
+    driver, _ = (out / "robot.yaml").read_text("utf-8").split("\n\nekf_filter_node:")
+    assert_told(driver, "it begins", rel=0.01)
     assert all((out / name).is_file() and name in written for name in (*FILES, "C/README.txt"))
     assert len(pd.read_csv(out / "estimates.csv")) == len(rhec.logs.read(make_example_log.FILE))
     assert main(words) == 2
