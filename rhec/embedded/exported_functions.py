@@ -189,7 +189,6 @@ def export_recorded(recorded):
         ESTIMATE=(len(estimated), ", ".join(estimated)),
         GUESS=(len(names), ", ".join(names)),
         GUESS_YAW=(names.index("theta_rad"), "place of the yaw in a guess; x and y are the first"),
-        GUESS_SPEED=(names.index("nu_mps"), "place of the speed in a guess"),
         HEADINGS=(recorded.headings, "first yaws that are tried where none is known"),
     )
     values = np.array([guess.get(name, 0.0) for name in names])

@@ -188,6 +188,13 @@ def test_implausible_entries_of_the_guess_are_replaced(robot, measured):
     nonsense, _, _ = robot.step(measured[0])
     robot.begin([0, 0, 0, 0, 1, 1])
     np.testing.assert_array_equal(nonsense, robot.step(measured[0])[0])
+    for place, largest in enumerate((1e8, 1e8, 1e6, 100)):  # of what is plausible
+        for share, is_used in ((0.9, True), (1.1, False)):
+            guess = np.array([0, 0, 0, 0, 1, 1.0])
+            guess[place] = share * largest
+            robot.begin(guess)
+            estimate, *_ = robot.step([np.nan] * 4)
+            assert (abs(estimate[place]) > 0.8 * largest) == is_used
 
 
 def test_overwritten_memory_restarts_and_is_reported(exported, robot, measured):

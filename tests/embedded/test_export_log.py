@@ -54,7 +54,7 @@ def assert_replay_compares(program, example, folder):
 
 def late_log():
     """Positions between the samples, late by what varies, and some encoders that are missing."""
-    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=3, arm_m=(0.3, -0.1))
+    log = recorded_log(10.0, 60.0, start_rad=3.0, noise_m=0.02, seed=3, arm_m=(0.3, -0.1))
     log.loc[log.index % 3 > 0, ["x_m", "y_m"]] = np.nan
     log.loc[log.index % 37 < 6, ["speed_mps", "yaw_rate_radps"]] = np.nan
     return log
