@@ -210,6 +210,20 @@ def test_overwritten_memory_restarts_and_is_reported(exported, robot, measured):
     assert np.hypot(estimate[0] - x, estimate[1] - y) < 0.2
 
 
+def test_a_single_number_that_is_overwritten_does_no_lasting_harm(robot, measured):
+    """Whichever it is: after some samples nothing is predicted, planned or restarted."""
+    doubles = np.frombuffer(robot.memory, dtype=float)
+    for place in range(4, doubles.size):
+        robot.begin()
+        for z in measured[:3]:
+            robot.step(z)
+        doubles[place] = np.nan
+        for z in measured[3:8]:
+            estimate, omega, status = robot.step(z)
+            assert abs(omega) <= paper.OMEGA_MAX_RADPS
+        assert status == 0 and np.hypot(*(estimate[:2] - z[:2])) < 0.2, place
+
+
 @needs_compiler
 def test_a_lost_estimate_starts_again_at_the_position_with_the_yaw_it_had(exported, measured):
     """From there on it is that of a robot that has just begun with this pose and speed.
@@ -228,6 +242,12 @@ def test_a_lost_estimate_starts_again_at_the_position_with_the_yaw_it_had(export
     for z in measured[51:80]:
         after = robot.call("estimate", z, length=6)[0]
         np.testing.assert_array_equal(after, begun.call("estimate", z, length=6)[0])
+    robot.begin()
+    for z in measured[:50]:
+        last, *_ = robot.step(z)
+    half, _, status = robot.step([far[0], np.nan, np.nan, 0])  # what is missing is as it was
+    assert status & toolchain.STATUS["estimator_restarted"]
+    np.testing.assert_array_equal(half, [far[0], last[1], last[2], last[3], 1, 1])
 
 
 def test_positions_that_jump_are_not_used_until_one_has_to_be(robot, measured):
