@@ -167,6 +167,14 @@ def during(seconds):
     return T.between(10, 10 + seconds, inclusive="left")
 
 
+def swapped(n):
+    """So many rows with the one behind them in front."""
+    place = np.arange(len(LOG))
+    place[: 10 * n : 10] += 1
+    place[1 : 10 * n : 10] -= 1
+    return LOG.iloc[place]
+
+
 def repeated(share):
     """Rows that have the time of the row before them."""
     return LOG.assign(t_s=T.where((LOG.index < 10) | (LOG.index > 10 + 1500 * share), T[10]))
@@ -359,6 +367,17 @@ LIMITS = {
         1.1,
         0.9,
     ),
+    "rows that fall": (swapped, "unsorted", 73, 78),
+    "times that are one": (repeated, "t_s can be used", 0.89, 0.91),
+    "segments": (lambda n: LOG.assign(segment=LOG.index * n // 1500), "segment has", 295, 305),
+    "positions that repeat": (lambda n: LOG.assign(x_m=1.0, y_m=1.0)[:n], "never change", 5, 6),
+    "rows, clockwise": (
+        lambda n: LOG.assign(yaw_rate_radps=-TURN)[:n],
+        "counted clockwise",
+        370,
+        390,
+    ),
+    "rows, late": (lambda n: late(LOG, 4)[:n], "later than speed_mps", 590, 630),
     "times repeat": (repeated, "of the rows have times", 0.0095, 0.012),
     "a spike [m/s]": (lambda v: change(T == 70, speed_mps=SPEED - v), "1 values of sp", 0.95, 1.05),
     "spikes, of 1500": (

@@ -749,6 +749,13 @@ def test_a_rival_has_a_w_of_its_own_in_a_world_whose_rhe_has_another(w):
     assert noise == dict(process_noise=w if w in ("prediction", "printed") else "prediction")
 
 
+def test_the_two_estimators_of_the_paper_have_the_w_of_a_world_that_says_which():
+    world = dict(w_rhe="free", w_ekf="printed", sigma_rhe_m=0.1, sigma_rhe_rad=0.2)
+    rhe = worlds._noise(world | dict(sigma_rhe_traction=0.3), "rhe")
+    assert (rhe["sigma_w"][:3], rhe["sigma_w"][4:]) == ((0.1, 0.1, 0.2), (0.3, 0.3))
+    assert worlds._noise(world, "ekf") == dict(process_noise="printed")
+
+
 def test_a_start_on_the_other_side_is_mirrored():
     usual = rhec.Scenario().start_offset_m
     for fields in (run_sets.RUNS, run_sets.LOGS):
