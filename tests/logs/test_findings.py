@@ -369,7 +369,7 @@ LIMITS = {
     ),
     "rows that fall": (swapped, "unsorted", 73, 78),
     "times that are one": (repeated, "t_s can be used", 0.89, 0.91),
-    "segments": (lambda n: LOG.assign(segment=LOG.index * n // 1500), "segment has", 295, 305),
+    "segments": (lambda n: LOG[:100].assign(segment=np.arange(100) * n // 100), "ment has", 20, 21),
     "positions that repeat": (lambda n: LOG.assign(x_m=1.0, y_m=1.0)[:n], "never change", 5, 6),
     "rows, clockwise": (
         lambda n: LOG.assign(yaw_rate_radps=-TURN)[:n],
