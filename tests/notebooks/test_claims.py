@@ -1084,6 +1084,16 @@ def test_the_share_of_sigma_that_is_left_is_of_the_second_half():
     )
 
 
+def test_the_growth_of_a_weight_has_no_unit():
+    """It is that of H_N: of P's least eigenvalue, whatever the units of the states are."""
+    roots = np.random.default_rng(0).normal(size=(10, 6, 6))
+    P = roots @ roots.swapaxes(1, 2)
+    units = np.diag([1.0, 1e3, 0.1, 5.0, 1e-3, 20.0])
+    assert experiments._growth(units @ P @ units) == pytest.approx(experiments._growth(P))
+    halves = np.repeat([np.eye(6), np.eye(6), np.eye(6) / 3], [1, 6, 3], axis=0)
+    assert experiments._growth(halves) == pytest.approx(3)
+
+
 def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
     off = experiments.certainty_equivalence(4.0)["off_radps"]
     assert len(off) == 20 and off.max() < 1e-9
