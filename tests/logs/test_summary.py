@@ -17,7 +17,7 @@ from written_bags import START_NS, fix, imu, odometry, write_bag
 import rhec
 from rhec.cli import main
 from rhec.logs import terms
-from rhec.logs.judge import hidden_errors, inflation
+from rhec.logs.judge import hidden_errors, inflation, judge
 from rhec.logs.outputs import FILES
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
@@ -325,6 +325,19 @@ def test_hidden_positions_show_how_far_off_an_estimate_is():
     np.testing.assert_allclose(hidden["error_m"], [10.0] * 9, atol=1e-6)
     np.testing.assert_allclose(hidden["after_s"], 10.0)
     np.testing.assert_allclose(hidden["ratio"], 10.0 / (2.236 * 3.0))
+
+
+def test_a_yaw_counts_where_a_robot_has_driven_eight_metres():
+    """Of one whose σ is as many rad as it has driven metres, until 20 m, the median is 14 rad."""
+    t = np.arange(0, 20, 0.2)
+    log = pd.DataFrame(dict(t_s=t, x_m=t, y_m=0.0, speed_mps=1.0, yaw_rate_radps=0.0))
+
+    def estimator(recording):
+        return stays(recording).assign(theta_hat_rad=0.0, sigma_theta_rad=t)
+
+    recording = prepare(log)
+    _, numbers = judge(recording, estimator, estimator(recording), (0.0, 0.0))
+    assert numbers["yaw_sigma_rad"] / numbers["inflation"] == pytest.approx(14, abs=0.2)
 
 
 @pytest.mark.parametrize("offset", [0, 1, 2, 3, 4])
