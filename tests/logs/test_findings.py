@@ -155,6 +155,12 @@ def plain(driven_m=40.0, turned_rad=20.0):
     return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
 
 
+def carried(way_m):
+    """Carried in the first of two pauses."""
+    paused = change(T > 80, t_s=T + 99, x_m=X + way_m)
+    return paused.assign(t_s=paused["t_s"] + 99 * (T > 120))
+
+
 def slow(speed_mps):
     """The log at another speed, without positions for 20 s."""
     times = speed_mps / 0.6
@@ -183,7 +189,8 @@ def repeated(share):
 REVERSES = reverses()
 HEADER = pd.DataFrame([dict(zip(LOG, LOG))])
 PASTED = pd.concat([LOG, HEADER, LOG.assign(x_m=X + 20)], ignore_index=True)
-WORDS = np.where(LOG.index % 3, "FIX", "SINGLE")
+WORDS = pd.Series(np.where(LOG.index % 3, "FIX", "SINGLE"), dtype=object)
+WORDS[5] = np.nan
 UNSIGNED = REVERSES.assign(speed_mps=REVERSES["speed_mps"].abs())
 NEVER_TURNS = LOG.assign(yaw_rate_radps=0.0)
 OF_THE_MAP = LOG.assign(speed_mps=SPEED * np.cos(LOG["yaw_true_rad"]))
@@ -420,7 +427,7 @@ LIMITS = {
     ),
     "a jump [m]": (lambda m: change(T == 70, x_m=X + m), "than the robot drives", 0.80, 0.85),
     "a pause [s]": (lambda s: change(T > 80, t_s=T + s, x_m=X + 3.0), "after a pause", 29, 31),
-    "carried [m]": (lambda m: change(T > 80, t_s=T + 99, x_m=X + m), "after a pause", 0.9, 1.02),
+    "carried [m]": (carried, "after a pause", 0.9, 1.02),
     "a gyro's scale": (lambda k: gyro(scale=k), "of another axis", 0.138, 0.128),
     "a gyro's unit": (lambda k: gyro(scale=k), "in degrees", 12.9, 13.7),
     "a gyro's rows": (

@@ -784,6 +784,9 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert ledger.CLAIMS["I1"].quote in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
+    value, low, high = re.search(r"as printed: (\S+) \[(\S+), (\S+)\]", text).groups()
+    low_m, value_m, high_m = (float(each.replace("−", "-")) for each in (low, value, high))
+    assert low_m < value_m < high_m < 0
 
 
 def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeypatch):
