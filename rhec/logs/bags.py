@@ -362,6 +362,8 @@ def _read(bag, topics, columns, wheel_radius_m):
         table = table.join(each.table(times_ns, wheel_radius_m), how="outer")
     if not len(table):
         raise ValueError(f"no message on {', '.join(each.topic for each in readings)}")
+    if "position_sigma_m" in table and table["position_sigma_m"].isna().all():
+        table = table.drop(columns="position_sigma_m")
     table.insert(0, "t_s", (table.index - table.index[0]) * 1e-9)
     table = table.reset_index(drop=True)
     table.attrs["fields"] = given
