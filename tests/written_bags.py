@@ -123,7 +123,7 @@ def joint_state(left, right):
 
 def fix(latitude, longitude, status=0, frame="map", variances=None):
     """A NavSatFix that declares the variances (east, north) [m²] of its position, or none."""
-    east, north = variances or (0.0, 0.0)
+    east, north = variances or (0.5, 0.5)  # what no receiver declares is none of it
 
     def message(store, stamp):
         known = of(store, "sensor_msgs/NavSatStatus", status=status, service=1)

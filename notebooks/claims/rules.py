@@ -346,9 +346,8 @@ def _beside(entry, expressions):
     """{what: Condition} of the numbers that are shown beside the verdict."""
     found = {}
     for part in entry.get("beside", []):
-        # No process noise affects a property.
-        noises = ["printed"] if "property" in part else _process_noises(part)
-        for process_noise in noises:
+        for process_noise in _process_noises(part):
+            # No process noise affects a property: one of its equal numbers is left.
             name = "" if "property" in part else f", {CONDITIONS[process_noise]}"
             found[part["what"] + name] = _condition(part, expressions, process_noise, {})
     return found

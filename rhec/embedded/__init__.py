@@ -66,18 +66,16 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool =
     if not isinstance(folder, str | Path):
         raise ValueError(f"folder was {shown(folder)}; it should be a path")
     folder = Path(folder)
+    check_folder(folder)
     parts = scenario if isinstance(scenario, tuple) else (scenario,)
     if isinstance(scenario, Summary):
         if scenario.judged is None:
             raise ValueError(f"the log has no estimator to export. {scenario.verdict}")
-        check_folder(folder)
         texts = _of_log(scenario.judged)
     elif parts and all(isinstance(part, RHE | RHC) for part in parts):
         texts = _of_model(parts)
-        check_folder(folder)
     else:
         _check(scenario, estimator_only)
-        check_folder(folder)
         texts = _of_scenario(scenario, estimator_only)
     _refuse_folders(folder, texts)
     _write(folder, texts)
@@ -152,7 +150,7 @@ def log_columns(scenario):
 def _common_files(*programs):
     """{file: text} of the files that are the same in all exports, and of these programs."""
     left_out = {*_OF_SCENARIO, *_OF_LOG} - {*programs}
-    files = sorted(Path(__file__).with_name("c").iterdir())
+    files = Path(__file__).with_name("c").iterdir()
     texts = {
         file.name: file.read_text(encoding="utf-8") for file in files if file.name not in left_out
     }

@@ -128,5 +128,5 @@ def messages(bag: Any, topics: set[str]) -> Iterator[tuple[str, int, Any]]:
     # No topics would be all topics.
     for connection, received_ns, raw in bag.messages(chosen) if chosen else ():
         if raw[:4] == _ZSTD:  # `ros2 bag record --compression-mode message`
-            raw = storage_mcap.DECOMPRESSORS["zstd"](raw, 0)
+            raw = storage_mcap.DECOMPRESSORS["zstd"](raw)
         yield connection.topic, received_ns, bag.deserialize(raw, connection.msgtype)

@@ -130,13 +130,15 @@ class _Track(NamedTuple):
 def tracks_of(rows):
     """The _Track of each segment that has three positions and three encoder measurements."""
     tracks = []
-    for _, part in rows.groupby("segment"):
-        t, x, y = part[["t_s", *_POSITION]].dropna().to_numpy().T
-        speeds = part[["t_s", *_ENCODERS]].dropna()
-        if min(len(t), len(speeds)) >= 3:
-            t_encoders = speeds["t_s"].to_numpy()
-            motion = cumulative_trapezoid(speeds[_ENCODERS], t_encoders, axis=0, initial=0)
-            tracks.append(_Track(t, x + 1j * y, t_encoders, *motion.T))
+    segments = rows["segment"].to_numpy()
+    columns = rows[["t_s", *_POSITION, *_ENCODERS]].to_numpy()
+    for segment in np.unique(segments):
+        part = columns[segments == segment]
+        t, x, y = part[np.isfinite(part[:, 1:3]).all(axis=1), :3].T
+        t_encoders, *speeds = part[np.isfinite(part[:, 3:]).all(axis=1)][:, [0, 3, 4]].T
+        if min(len(t), len(t_encoders)) >= 3:
+            motion = cumulative_trapezoid(speeds, t_encoders, initial=0)
+            tracks.append(_Track(t, x + 1j * y, t_encoders, *motion))
     return tracks
 
 

@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,21 @@ def test_an_interrupted_export_can_be_repeated(tmp_path, texts):
     (tmp_path / ".unfinished-abc").touch()
     embedded.export(None, tmp_path)
     assert (tmp_path / "rhec.c").read_text() == "code"
+
+
+def test_a_disk_that_is_full_leaves_an_earlier_export_as_it_was(tmp_path, texts):
+    """It is full at a file behind the first one."""
+    embedded.export(None, tmp_path)
+    texts |= {embedded._MARK: "newer", "rhec.c": 100 * "newer"}
+    largest = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, largest[1]))
+    try:
+        with pytest.raises(OSError):
+            embedded.export(None, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, largest)
+    assert (tmp_path / embedded._MARK).read_text() == "mark"
+    assert {file.name for file in tmp_path.iterdir()} == {*texts}
 
 
 def test_a_folder_called_like_a_file_is_refused_before_anything_is_replaced(tmp_path, texts):

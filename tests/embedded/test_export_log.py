@@ -54,7 +54,7 @@ def assert_replay_compares(program, example, folder):
 
 def late_log():
     """Positions between the samples, late by what varies, and some encoders that are missing."""
-    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=3, arm_m=(0.3, -0.1))
+    log = recorded_log(10.0, 60.0, start_rad=3.0, noise_m=0.02, seed=3, arm_m=(0.3, -0.1))
     log.loc[log.index % 3 > 0, ["x_m", "y_m"]] = np.nan
     log.loc[log.index % 37 < 6, ["speed_mps", "yaw_rate_radps"]] = np.nan
     return log
@@ -107,6 +107,10 @@ def test_operations_are_counted_through_calls_branches_and_loops():
     y = ca.MX.sym("y")
     twice = ca.Function("twice", [y], [long(long(y))])
     assert operations(twice) == 2 * operations(long) + 2  # an input and an output
+    four, five = (ca.MX.sym("A", 3, n) for n in (4, 5))
+    products = [ca.Function("of", [A], [A @ ca.MX.ones(A.size2())]) for A in (four, five)]
+    # A product and a sum for each of three rows, and a constant.
+    assert operations(products[1]) - operations(products[0]) == 2 * 3 + 1
 
 
 def test_an_estimator_alone_has_no_controller(tmp_path):

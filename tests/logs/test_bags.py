@@ -53,11 +53,13 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
         "gyro_radps": "/drive.yaw_rate",
         "heading_rad": "/odom.pose.pose.orientation",
         "sent_s": "/odom.header.stamp",
+        "again_m": "y_m",  # no field, but a column that is one
     }
     log = rhec.logs.read(write_bag(tmp_path, kind, driven()), columns=columns)
     rows = np.arange(N)
     expected = dict(t_s=0.1 * rows, x_m=rows, y_m=-rows, v_left_mps=rows, v_right_mps=4 + rows)
-    expected |= dict(gyro_radps=0.5 * rows, heading_rad=0, sent_s=1e-9 * START_NS + 0.1 * rows)
+    expected |= dict(gyro_radps=0.5 * rows, heading_rad=0, again_m=-rows)
+    expected |= dict(sent_s=1e-9 * START_NS + 0.1 * rows)
     assert {*log} == {"t_s", *columns}
     for name, values in expected.items():
         np.testing.assert_allclose(log[name], values, atol=1e-6)

@@ -13,6 +13,23 @@ from rhec.logs.causes import tried
 from rhec.logs.filtering import OUTLIER
 
 ARM_M = (0.25, -0.1)
+# What is printed of a log with this antenna.
+PRINTED = """
+                               value      low     high    unit  determined
+noise of the position        0.03192  0.03041  0.03351       m        True
+noise of ν                  0.006318 0.002074  0.01925     m/s       False
+noise of ω                  0.003914 0.001117  0.01372   rad/s       False
+walk of μ                   0.003085 0.001965 0.004841    1/√m       False
+walk of κ                   0.004665  0.00294 0.007403    1/√m       False
+slip ahead, share of ν       0.02545  0.01467  0.04415       -        True
+slip in turning, share of ω  0.02129 0.009064     0.05       -       False
+slip sideways, share of bω    0.0579  0.01979   0.1694       -       False
+bumps                       0.004576   0.0021 0.009972  rad/√m       False
+side slip                   0.007846        0   0.0176       s        True
+antenna ahead                 0.2436   0.2355   0.2518       m        True
+antenna left                 -0.1012  -0.1087 -0.09372       m        True
+delay of the positions      0.001898 -0.05468  0.05848       s        True
+"""
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +72,18 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
     assert told["value"] == 0.02 and told["low"] == 0 and not told["determined"]
     assert "does not determine: noise of the position" in str(found)
     assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
+
+
+def test_a_calibration_prints_what_is_documented_here(calibrated):
+    """Many of its numbers were tuned: whoever changes one sees here what follows for a user.
+
+    They are compared to a tenth, because a search ends elsewhere on other processors.
+    """
+    _, found = calibrated(0.03)
+    printed, _ = str(found).split("\nThe log does not determine: ")
+    for one, other in zip(printed.split(), PRINTED.split(), strict=True):
+        assert one == other or float(one) == pytest.approx(float(other), rel=0.1, abs=5e-4)
+    assert found["sigma_v"][0] == pytest.approx(0.047, rel=0.1)
 
 
 def test_calibration_finds_the_lever_arm(calibrated):

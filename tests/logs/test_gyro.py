@@ -142,13 +142,4 @@ def test_calibration_finds_the_noise_of_a_gyro():
     told = found.report.loc["noise of the gyro"]
     # At 5 Hz a sample's mean is that of two readings.
     assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
-    # All are as many times as large, so that the gains are those of the likeliest noise.
-    ratios = [
-        found["sigma_gyro"][0] / told["value"],
-        found["sigma_v"][2] / found.report.loc["noise of ν", "value"],
-        found["sigma_w"][1] / found.report.loc["walk of κ", "value"],
-        found["slip"][1] / found.report.loc["slip in turning, share of ω", "value"],
-    ]
-    assert ratios == pytest.approx([1.75] * 4)
-    assert found["slip"][-1] == found.report.loc["side slip", "value"]
     assert rhec.replay(with_gyro(), **START, **found)["theta_hat_rad"].notna().all()

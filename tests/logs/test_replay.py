@@ -237,6 +237,13 @@ def test_positions_between_the_samples_are_as_good_as_positions_at_them(gnss):
     assert position.max() < 0.02 and yaw.max() < 0.03
 
 
+def test_the_first_estimate_is_as_unsure_as_a_guess_is():
+    """Of yaw, traction and the place of the antenna one position says nothing."""
+    first = rhec.replay(LOG[:50], first_yaw_rad=0.4, smooth=False, trust_log=True).iloc[0]
+    told = first[["sigma_theta_rad", "sigma_mu", "sigma_kappa", "sigma_arm_forward_m"]]
+    assert [*told] == pytest.approx([0.3, *paper.SIGMA_W_RHE[4:], 0.1], rel=0.02)
+
+
 def test_nothing_is_said_before_the_first_position():
     log = LOG.assign(x_m=LOG["x_m"].where(LOG["t_s"] > 3.0))
     result = rhec.replay(log, first_yaw_rad=0.4)
@@ -268,6 +275,21 @@ def test_a_mean_is_known_where_half_of_its_interval_is(until_s, is_known):
     samples = recording.resample(rows, 0.2, averaged=False)
     assert np.isfinite(samples["nu_meas_mps"][10]) == is_known
     assert np.isnan(samples["nu_meas_mps"][9]) and np.isfinite(samples["nu_meas_mps"][11])
+
+
+def test_how_long_speeds_and_a_truth_are_held_and_from_when_on_a_robot_stands():
+    log = recorded_log(10.0, 60.0)
+    for gap_s, stands in ((2.9, False), (3.3, True)):
+        there = ~log["t_s"].between(10.05, 9.95 + gap_s)
+        (samples,) = recording.prepare(log[there]).samples()
+        assert (samples["nu_meas_mps"][50:67] == 0).any() == stands
+    for column, name, held_s in (("speed_mps", "nu_meas_mps", 0.6), ("x_true_m", "x_m", 0.3)):
+        for gap_s, is_known in ((held_s, True), (held_s + 0.2, False)):
+            there = ~log["t_s"].between(10.05, 9.95 + gap_s)
+            (samples,) = recording.prepare(
+                log.assign(**{column: log[column].where(there)})
+            ).samples()
+            assert samples[name].notna().all() == is_known, (name, gap_s)
 
 
 def test_encoder_measurements_of_a_run_are_means_already(run):

@@ -50,8 +50,19 @@ def test_rows_of_other_sensors_do_not_shorten_the_drive():
 
 @pytest.mark.usefixtures("without_a_search")
 def test_a_bag_with_an_imu_is_calibrated():
-    found = rhec.calibrate(with_imu(LOG[:300], 30.0), trust_log=True)
-    assert "noise of the gyro" in found.report.index
+    summary = rhec.log(with_imu(LOG[:300], 30.0), calibrate=True, trust_log=True)
+    found = summary.calibration
+    told = found.report["value"]
+    # All are as many times as large, so that the gains are those of the likeliest noise.
+    ratios = [
+        found["sigma_gyro"][0] / told["noise of the gyro"],
+        found["sigma_v"][2] / told["noise of ν"],
+        found["sigma_w"][1] / told["walk of κ"],
+        found["slip"][1] / told["slip in turning, share of ω"],
+    ]
+    assert ratios == pytest.approx([ratios[0]] * 4) and ratios[0] > 1
+    assert found["slip"][-1] == told["side slip"]
+    assert all(line in summary.details for line in str(found).splitlines())
 
 
 @pytest.mark.usefixtures("without_a_search")

@@ -17,7 +17,7 @@ from written_bags import START_NS, fix, imu, odometry, write_bag
 import rhec
 from rhec.cli import main
 from rhec.logs import terms
-from rhec.logs.judge import hidden_errors, inflation
+from rhec.logs.judge import hidden_errors, inflation, judge
 from rhec.logs.outputs import FILES
 from rhec.logs.recording import prepare, resample
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
@@ -62,18 +62,25 @@ def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     assert told["traction"]["κ"]["low"] == pytest.approx(summary.traction.loc["κ", "low"])
 
 
+def assert_told(text, where, rel):
+    """A text is as the docs show it behind these words, and so are its numbers, to `rel`."""
+    documented = re.search(rf"{where}:\n\n((?:    .*\n)+)", PAGE.read_text("utf-8"))[1]
+    documented = textwrap.dedent(documented).strip()
+    number = r"\d+(?:\.\d+)?"
+    assert re.sub(number, "0", text) == re.sub(number, "0", documented)
+    said, expected = ([*map(float, re.findall(number, each))] for each in (text, documented))
+    assert said == pytest.approx(expected, rel=rel)
+
+
 def test_the_command_prints_the_page_of_the_docs_and_writes_all(capsys, tmp_path):
     """Its words are those of the docs, and its numbers to a tenth: processors round otherwise."""
     out = tmp_path / "out"
     words = ["log", str(make_example_log.FILE), "--output", str(out)]
     assert main(words) == 0
     page, written = capsys.readouterr().out.strip().split("\nWritten: ")
-    documented = re.search(r"the page is:\n\n((?:    .*\n)+)", PAGE.read_text("utf-8"))[1]
-    documented = textwrap.dedent(documented).strip()
-    number = r"\d+(?:\.\d+)?"
-    assert re.sub(number, "0", page) == re.sub(number, "0", documented)
-    said, expected = ([*map(float, re.findall(number, each))] for each in (page, documented))
-    assert said == pytest.approx(expected, rel=0.1)
+    assert_told(page, "the page is", rel=0.1)
+    driver, _ = (out / "robot.yaml").read_text("utf-8").split("\n\nekf_filter_node:")
+    assert_told(driver, "it begins", rel=0.01)
     assert all((out / name).is_file() and name in written for name in (*FILES, "C/README.txt"))
     assert len(pd.read_csv(out / "estimates.csv")) == len(rhec.logs.read(make_example_log.FILE))
     assert main(words) == 2
@@ -318,6 +325,19 @@ def test_hidden_positions_show_how_far_off_an_estimate_is():
     np.testing.assert_allclose(hidden["error_m"], [10.0] * 9, atol=1e-6)
     np.testing.assert_allclose(hidden["after_s"], 10.0)
     np.testing.assert_allclose(hidden["ratio"], 10.0 / (2.236 * 3.0))
+
+
+def test_a_yaw_counts_where_a_robot_has_driven_eight_metres():
+    """Of one whose σ is as many rad as it has driven metres, until 20 m, the median is 14 rad."""
+    t = np.arange(0, 20, 0.2)
+    log = pd.DataFrame(dict(t_s=t, x_m=t, y_m=0.0, speed_mps=1.0, yaw_rate_radps=0.0))
+
+    def estimator(recording):
+        return stays(recording).assign(theta_hat_rad=0.0, sigma_theta_rad=t)
+
+    recording = prepare(log)
+    _, numbers = judge(recording, estimator, estimator(recording), (0.0, 0.0))
+    assert numbers["yaw_sigma_rad"] / numbers["inflation"] == pytest.approx(14, abs=0.2)
 
 
 @pytest.mark.parametrize("offset", [0, 1, 2, 3, 4])

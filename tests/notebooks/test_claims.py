@@ -4,6 +4,7 @@ it is judged on is what the log shows.
 
 import collections
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -170,10 +171,13 @@ def test_the_root_of_a_mean_of_squares_is_their_rms():
 
 
 def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
-    """Of skewed numbers in all runs it is nearly what the intervals say."""
+    """Of skewed numbers in all runs it is nearly what the intervals say.
+
+    Tables that some looks have left shorter are compared where both have rows.
+    """
     metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
     samples = np.random.default_rng(0).lognormal(size=(99, 200, 4))
-    drawn = (pd.DataFrame(sample, columns=metrics) for sample in samples)
+    drawn = (pd.DataFrame(of[: 200 - n % 2], columns=metrics) for n, of in enumerate(samples))
     shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=200)
     assert {*shown["statistic"]} == {"mean", "difference_of_means", "ratio_of_means"}
     assert shown["coverage"].between(0.9, 0.99).all()
@@ -402,6 +406,40 @@ def test_a_rival_has_the_rhes_w_where_none_was_tuned_for_it():
             else:
                 assert scenario.sigma_w == tuning.NOISES["rhe"][rule].sigma_w[:entries]
                 assert scenario.sigma_v == tuning.NOISES["rhe"][rule].sigma_v
+
+
+def fields_of(kind, id_):
+    return dict(runs=run_sets.RUNS, logs=run_sets.LOGS)[kind][id_]
+
+
+def test_a_claim_s_words_have_the_numbers_of_its_drives():
+    """But for how long they last, from where the robot starts, and for noise that is none."""
+    for id_, claim in ledger.CLAIMS.items():
+        conditions = claim.rule.by_condition | claim.beside
+        words = {*re.findall(r"\d+(?:\.\d+)?", " ".join([claim.test, *conditions]))}
+        for _, kind, table in evidence.driven_tables_of(conditions.values()):
+            for name, value in fields_of(kind, table).items():
+                is_number = type(value) in (int, float) and name not in run_sets._NOISES
+                if is_number and name not in ("duration_s", "start_offset_m"):
+                    assert f"{value:g}" in words, (id_, table, name)
+
+
+def test_drives_on_the_first_row_end_before_its_end():
+    """By the set speed, and there is nothing to be seen of the headland."""
+    for kind, id_ in [("logs", "q2_slow"), ("logs", "q2_fast"), ("runs", "q3"), ("logs", "q2")]:
+        (scenario,) = run_sets.scenarios(fields_of(kind, id_), "printed", [0])
+        way_m = scenario.speed_mps * scenario.duration_s
+        assert 0.97 * scenario.row_length_m < way_m <= scenario.row_length_m
+
+
+def test_a_drive_without_disturbance_is_measured_as_it_is():
+    """On the same soil everywhere, whose tracks do not turn it to one side."""
+    fields = fields_of("logs", "ekf_undisturbed")
+    (scenario,) = run_sets.scenarios(fields, "printed", [3], dict(duration_s=4.0))
+    log = rhec.simulate(scenario).log
+    measured = log[["x_meas_m", "y_meas_m", "nu_meas_mps"]]
+    np.testing.assert_allclose(measured, log[["x_m", "y_m", "nu_mps"]], atol=1e-9)
+    assert np.ptp(log[["mu", "kappa"]].to_numpy(), axis=0).max() < 1e-12
 
 
 def test_no_claim_is_judged_on_the_calibrations_seeds():
@@ -690,10 +728,38 @@ def test_a_claim_in_worlds_follows_the_runs(monkeypatch):
     assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [LOST] * 2
 
 
+def test_every_claim_about_driving_is_judged_in_a_world(run, monkeypatch):
+    """By drives with its own controller and estimator, at the world's speed or its own."""
+    shown = run_sets.measured(run) | dict(mu_deviation=0.01, kappa_deviation=0.01)
+    asked = {}
+
+    def measure(scenarios, folder=None):
+        asked.update(scenarios["runs"] | scenarios["logs"])
+        return {name: pd.DataFrame([shown] * len(part)) for name, part in asked.items()}
+
+    monkeypatch.setattr(run_sets, "measure", measure)
+    verdicts = worlds.judge(ledger.CLAIMS, [dict(speed_mps=0.4)], 2)
+    published = pd.read_csv(RESULTS / "claims.csv").set_index("id")["posterior"]
+    assert {*verdicts} == {*published.dropna().index}
+    for (kind, id_, _), (one, other) in asked.items():
+        (usual,) = run_sets.scenarios(fields_of(kind, id_), "prediction", [0])
+        for name in ("estimator", "q", "r", "qn_factor", "look_ahead_m", "guess_yaw_rad"):
+            assert getattr(one, name) == getattr(usual, name)
+        assert one.speed_mps == fields_of(kind, id_).get("speed_mps", 0.4)
+        assert other.seed == one.seed + 1
+
+
 @pytest.mark.parametrize("w", ["prediction", "free", "fitted", "printed"])
 def test_a_rival_has_a_w_of_its_own_in_a_world_whose_rhe_has_another(w):
     noise = worlds._noise(dict(w_rhe=w, sigma_rhe_m=0.1), RIVALS["rhe_no_slip"])
     assert noise == dict(process_noise=w if w in ("prediction", "printed") else "prediction")
+
+
+def test_the_two_estimators_of_the_paper_have_the_w_of_a_world_that_says_which():
+    world = dict(w_rhe="free", w_ekf="printed", sigma_rhe_m=0.1, sigma_rhe_rad=0.2)
+    rhe = worlds._noise(world | dict(sigma_rhe_traction=0.3), "rhe")
+    assert (rhe["sigma_w"][:3], rhe["sigma_w"][4:]) == ((0.1, 0.1, 0.2), (0.3, 0.3))
+    assert worlds._noise(world, "ekf") == dict(process_noise="printed")
 
 
 def test_a_start_on_the_other_side_is_mirrored():
@@ -724,6 +790,9 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert ledger.CLAIMS["I1"].quote in text
     assert "n = 12: holds" in text and "seeds 0 to 11" in text
+    value, low, high = re.search(r"as printed: (\S+) \[(\S+), (\S+)\]", text).groups()
+    low_m, value_m, high_m = (float(each.replace("−", "-")) for each in (low, value, high))
+    assert low_m < value_m < high_m < 0
 
 
 def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeypatch):
@@ -935,6 +1004,17 @@ def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
     assert len(one) == 100
 
 
+def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine, monkeypatch):
+    """No process noise, soil or computer affects it."""
+    monkeypatch.setattr(experiments, "parallel_map", map)
+    claims = {id_: ledger.CLAIMS[id_] for id_ in "S2 S3 S5 N2 A6 K1".split()}
+    _, findings, beside, looks = evidence.collect(claims, [1000])
+    columns = ["value", "low", "high", "n", "verdict", "confidence", "beside"]
+    found = ledger.ledger(findings, looks, beside, {}, claims).set_index("id")[columns]
+    published = pd.read_csv(RESULTS / "claims.csv").set_index("id").loc[[*claims], columns]
+    pd.testing.assert_frame_equal(found.replace("", np.nan), published, rtol=1e-6, atol=1e-9)
+
+
 def test_each_field_of_the_arrival_costs_is_driven_once():
     tasks = experiments._tasks("prediction", "arrival_cost", 300)
     assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
@@ -1011,6 +1091,16 @@ def test_the_share_of_sigma_that_is_left_is_of_the_second_half():
     assert experiments._sigma_left(P) == pytest.approx(
         dict(sigma_mu_left=0.5, sigma_kappa_left=0.6)
     )
+
+
+def test_the_growth_of_a_weight_has_no_unit():
+    """It is that of H_N: of P's least eigenvalue, whatever the units of the states are."""
+    roots = np.random.default_rng(0).normal(size=(10, 6, 6))
+    P = roots @ roots.swapaxes(1, 2)
+    units = np.diag([1.0, 1e3, 0.1, 5.0, 1e-3, 20.0])
+    assert experiments._growth(units @ P @ units) == pytest.approx(experiments._growth(P))
+    halves = np.repeat([np.eye(6), np.eye(6), np.eye(6) / 3], [1, 6, 3], axis=0)
+    assert experiments._growth(halves) == pytest.approx(3)
 
 
 def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):

@@ -23,7 +23,6 @@ static void start(struct rhec_search *s, const double z[RHEC_OUTPUTS])
     memcpy(guess, rhec_scenario_guess, sizeof guess);
     guess[0] = z[0];
     guess[1] = z[1];
-    guess[RHEC_GUESS_SPEED] = isfinite(z[2]) ? z[2] : 0;
     for (int k = 0; k < RHEC_HEADINGS; k++) {
         guess[RHEC_GUESS_YAW] = full_turn / RHEC_HEADINGS * k;
         rhec_init(&s->runs[k], &rhec_scenario, guess);
@@ -35,25 +34,23 @@ int rhec_search_estimate(struct rhec_search *s, const double z[RHEC_OUTPUTS],
                          const double ages_s[RHEC_OUTPUTS], double estimate[RHEC_ESTIMATE],
                          double sigma[RHEC_ESTIMATE])
 {
-    int is_first = !s->is_started, status[RHEC_HEADINGS];
+    int status[RHEC_HEADINGS];
     double least;
 
-    if (is_first && !(isfinite(z[0]) && isfinite(z[1]))) {
+    if (!s->is_started && !(isfinite(z[0]) && isfinite(z[1]))) {
         for (int i = 0; i < RHEC_ESTIMATE; i++) {
             estimate[i] = sigma[i] = NAN;
         }
         return RHEC_PREDICTED;
     }
-    if (is_first) {
+    if (!s->is_started) {
         start(s, z);
     }
     for (int i = 0; i < RHEC_OUTPUTS; i++) {
         s->held[i] = isfinite(z[i]) ? z[i] : s->held[i];
     }
     for (int k = 0; k < RHEC_HEADINGS; k++) {
-        double square = rhec_move(&s->runs[k], z, s->held, ages_s);
-
-        s->squares[k] += is_first ? 0 : square; /* the first position is the guess itself */
+        s->squares[k] += rhec_move(&s->runs[k], z, s->held, ages_s);
         status[k] = rhec_estimate(&s->runs[k], rhec_moved(&s->runs[k]), estimate);
     }
     least = s->squares[0];
