@@ -141,7 +141,7 @@ def memory_header(export):
 def _size_macros(export):
     """Lines that define the sizes and the components of the export."""
     macros = [
-        f"#define RHEC_{name} {value} /* {note} */".replace("  ", " ")
+        f"#define RHEC_{name} {value!r} /* {note} */"
         for name, (value, note) in export.macros.items()
     ]
     if export.variances:

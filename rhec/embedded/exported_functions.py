@@ -85,7 +85,7 @@ class Export(NamedTuple):
     memory: dict  # {place in struct rhec: number of doubles}
     settings: dict  # {name: matrix}
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
-    macros: dict  # {name in C: (value, comment)}; "" for what only is there
+    macros: dict  # {name in C: (value, comment)}
     # Of each entry of the estimate the place of its variance in the covariance, -1 without one.
     variances: tuple = ()
     inflation: float = 1.0  # factor of the standard deviations
@@ -122,7 +122,7 @@ def export(scenario, estimator_only=False):
     macros = _macros_on_a_path(scenario, stages.dt_s, most)
     has_yaw_drift = "yaw_drift" in estimate["feedback"].name_out()
     if has_yaw_drift:
-        macros["YAW_DRIFT"] = "", "the estimator has the yaw drift, which the controller cancels"
+        macros["YAW_DRIFT"] = 1, "the estimator has the yaw drift, which the controller cancels"
     covered = estimator.states(choice) if "covariance" in estimate["feedback"].name_out() else ()
     variances = _variances(QUANTITIES, covered)
     if estimator_only:
@@ -184,7 +184,7 @@ def export_recorded(recorded):
     )
     macros = dict(
         DT_S=(window.dt_s, "time between samples [s]"),
-        ESTIMATOR=("", "the export has an estimator"),
+        ESTIMATOR=(1, "the export has an estimator"),
         OUTPUTS=(len(model.outputs), ", ".join(model.outputs)),
         ESTIMATE=(len(estimated), ", ".join(estimated)),
         GUESS=(len(names), ", ".join(names)),
@@ -212,9 +212,9 @@ def _macros_on_a_path(scenario, dt_s, rejected):
     names = "x, y, theta, nu, mu, kappa"
     return dict(
         DT_S=(dt_s, "time between samples [s]"),
-        ESTIMATOR=("", "the export has an estimator"),
-        CONTROLLER=("", "the export has a controller"),
-        PATH=("", "a tracked robot follows a path"),
+        ESTIMATOR=(1, "the export has an estimator"),
+        CONTROLLER=(1, "the export has a controller"),
+        PATH=(1, "a tracked robot follows a path"),
         OUTPUTS=(len(measured), ", ".join(measured)),
         ESTIMATE=(n, names),
         GUESS=(n, names),
@@ -246,7 +246,7 @@ def export_model(rhe=None, rhc=None):
         )
         estimate = build_estimator(rhe.window)
         phases |= _bind_all("estimator", start, estimate, settings, _SHARED_BY_MODEL)
-        macros["ESTIMATOR"] = "", "the export has an estimator"
+        macros["ESTIMATOR"] = 1, "the export has an estimator"
         macros["ESTIMATE"] = len(model.names), ", ".join(model.names)
         variances = _variances(model.names, model.joint_names)
     if rhc:
@@ -255,7 +255,7 @@ def export_model(rhe=None, rhc=None):
         start = _Start(lambda s_0: rhc.first_memory(s_0[:n_x], s_0[n_x:]), "s_0", rhc.stages.n_s)
         control = build_controller(rhc.stages)
         phases |= _bind_all("controller", start, control, settings, _SHARED_BY_MODEL)
-        macros["CONTROLLER"] = "", "the export has a controller"
+        macros["CONTROLLER"] = 1, "the export has a controller"
         macros["HORIZON"] = rhc.horizon, "intervals of a plan"
         if IMPROVE in control:
             macros["FIRST_ITERATIONS"] = FIRST_ITERATIONS, "most iterations for the first plan"
