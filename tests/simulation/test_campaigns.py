@@ -109,7 +109,8 @@ def test_a_campaign_has_the_rows_of_simulate_in_order_and_equal_scenarios_run_on
 def test_what_varied_and_the_metrics_are_columns_and_constants_are_attributes():
     names = {field.name for field in dataclasses.fields(rhec.Scenario)}
     metrics = rhec.simulate(SHORT).metrics
-    assert list(metrics) == list(store.failed_row(""))[:-1] and not names & {*metrics}
+    assert {name: type(value) for name, value in metrics.items()} == store.TYPES
+    assert not names & {*metrics}
     for scenarios, varied in (
         ([], []),
         ([SHORT], []),
@@ -520,6 +521,21 @@ def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
         rhec.campaign(short(), workers=2)
 
 
+def test_a_worker_whose_compiler_fails_on_the_way_is_refused(monkeypatch, one_by_one):
+    """The compiler was there before the run, and it is not there after it."""
+
+    def failing(scenario):
+        run = rhec.simulate(scenario)
+        monkeypatch.setattr(compiled, "compiler", lambda: None if real else "cc")
+        return run
+
+    real = compiled.compiler()
+    monkeypatch.setattr(campaigns, "simulate", failing)
+    refused = pytest.raises(RuntimeError, match=f"C compiler {not real}, but the caller has")
+    with concurrent.futures.ThreadPoolExecutor(1) as threads, refused:
+        rhec.campaign(short(1), workers=threads)
+
+
 # Executors of the caller
 
 
@@ -685,7 +701,7 @@ def finished(missing, workers, run_task):
     """In place of the runs: their rows, in parts."""
     keys = [*missing]
     for begin in range(0, len(keys), 300):
-        row = store.example_metrics() | dict(error="")
+        row = store.failed_row("")
         yield {key: dict(row) for key in keys[begin : begin + 300]}
 
 
