@@ -45,7 +45,7 @@ def ahead_and_left(dx, dy, theta, lib):
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Path:
     """Lines and arcs one after the other; build it with `rows` or `from_segments`.
 

@@ -148,6 +148,19 @@ def test_objects_show_what_they_are():
     ]
 
 
+def test_what_runs_and_campaigns_share_cannot_be_changed():
+    """They keep what they have made from it."""
+    things = [getattr(rhec, name) for name in rhec.__all__]
+    records = [
+        thing for thing in things if inspect.isclass(thing) and dataclasses.is_dataclass(thing)
+    ]
+    assert {rhec.Scenario, rhec.Path, rhec.Terrain, rhec.Model} <= {*records}
+    for record in records:
+        for field in dataclasses.fields(record):
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(object.__new__(record), field.name, None)
+
+
 def a_controller():
     """A controller of two states, of which the first is pushed, and rows of a trajectory of it."""
     model = rhec.Model(states=("x", "y"), inputs=("u",), f=lambda x, u, p: [u, x[0]])

@@ -361,7 +361,7 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
         for estimator in ("rhe", "ekf")
         for seed in range(16)
     }
-    (task,) = batch.Plan(scenarios).tasks()
+    (task,) = batch.Plan(scenarios).tasks(1)
     assert [seed // 8 for _, seed in task] == [0] * 16 + [1] * 16
     assert [estimator for estimator, _ in task] == (["rhe"] * 8 + ["ekf"] * 8) * 2
 
