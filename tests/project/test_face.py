@@ -275,6 +275,15 @@ def test_every_estimator_and_controller_has_the_same_verbs(name):
     np.testing.assert_array_equal(answers_of(made, samples), expected)
 
 
+def test_what_a_feedback_or_solve_is_not_told_is_the_same_everywhere():
+    defaults = {}
+    for made in (*MADE.values(), rhec.EKF):
+        for method in {made.feedback, getattr(made, "solve", made.feedback)}:
+            for name, parameter in inspect.signature(method).parameters.items():
+                if parameter.default is not parameter.empty:
+                    assert defaults.setdefault(name, parameter.default) == parameter.default, name
+
+
 def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_them():
     class Counting(rhec.RHE):
         samples = 0
