@@ -227,7 +227,7 @@ def path_of(scenario):
     return _rows(scenario.row_length_m, scenario.headland_radius_m, scenario.turns)
 
 
-@functools.lru_cache(maxsize=16)  # the runs of a campaign share it
+@functools.lru_cache  # the runs of a campaign share it
 def _rows(row_length_m, radius_m, turns):
     """The path of `Path.rows`."""
     return Path.from_segments(_PIECES[turns](row_length_m, radius_m), closed=True)
