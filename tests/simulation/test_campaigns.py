@@ -380,10 +380,12 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
     readings = dict(largest_m=largest_error_m)
     here = rhec.campaign(scenarios, workers=1, readings=readings)
     assert here["largest_m"].notna().sum() == len(scenarios) - 1
-    for number in (2, 2):
-        assert_equal_rows(rhec.campaign(scenarios, workers=number, readings=readings), here)
+    for _ in range(2):
         for process in workers_of(psutil.Process()):
             process.kill()
+        assert_equal_rows(rhec.campaign(scenarios, workers=2, readings=readings), here)
+    workers.get_workers(2, large=True).stop(())  # as an interrupt does
+    assert not workers_of(psutil.Process())
     # Ctrl-C is blocked for the workers alone, and only while they start.
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 

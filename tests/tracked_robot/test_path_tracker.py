@@ -34,6 +34,15 @@ def test_points_are_those_of_the_path_by_names_in_any_order():
         np.testing.assert_allclose(yaw_rates, 0.7 * curvature[:-1], atol=1e-12)
 
 
+def test_near_the_centre_of_an_arc_the_closest_point_is_followed():
+    """As near as 0.23 of its radius, where a step along the path is 0.23 of one along the arc."""
+    tracker = rhec.PathTracker(rhec.Path.from_segments([(12.0, 0.5)]), speed=0.7, **NAMES)
+    for s in np.arange(0.0, 10.0, 0.05):
+        x, y = 0.46 * np.sin(s / 2), 2 - 0.46 * np.cos(s / 2)
+        tracker.references(estimate(x_m=x, y_m=y, yaw_rad=s / 2))
+        assert abs(tracker.s_m - s) < 1e-5
+
+
 def test_backwards_the_yaw_is_turned():
     ahead, back = (rhec.PathTracker(PATH, speed=v, **NAMES) for v in (0.5, -0.5))
     found = estimate(x_m=1.0, y_m=2.0, yaw_rad=0.4)
