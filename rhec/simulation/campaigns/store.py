@@ -44,8 +44,8 @@ def provenance():
 def _installed():
     versions = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
     return versions | {
-        "source of rhec": compiled.source_digest()[:16],
-        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
+        "source of rhec": compiled.source_digest(),
+        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest(),
     }
 
 
@@ -132,7 +132,7 @@ def open_folder(folder):
     optional("pyarrow", f"folder={str(folder)!r}")
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"folder was {str(folder)!r}; that is a file, it should be a folder")
-    folder = folder / hashlib.sha256(json.dumps(provenance()).encode()).hexdigest()[:16]
+    folder = folder / hashlib.sha256(json.dumps(provenance()).encode()).hexdigest()
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -156,7 +156,7 @@ def save_rows(folder, rows):
     if not rows:
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
-    name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
+    name = hashlib.sha256("".join(rows).encode()).hexdigest()
     with replacing(folder / f"{name}.parquet") as unfinished:
         pq.write_table(table, unfinished, write_page_checksum=True)
 
