@@ -133,6 +133,15 @@ def test_a_fault_touches_the_gyro_alone(kind, value, measured):
     assert faulty.metrics["solver_ok"]
 
 
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_a_first_heading_that_is_missing_is_none(missing):
+    """The estimate then begins as that of a robot without one."""
+    plain, with_heading = (rhec.RHE(sensors=sensors) for sensors in ((), ("heading",)))
+    expected = plain.feedback((1.0, 2.0, 0.5, 0.1))
+    found = with_heading.feedback((1.0, 2.0, 0.5, 0.1, missing))
+    np.testing.assert_allclose([*found.pose, *found.p], [*expected.pose, *expected.p], atol=1e-9)
+
+
 def test_a_gyro_and_a_heading_make_the_yaw_better():
     """Means of three training seeds."""
     errors = [
