@@ -143,12 +143,12 @@ def test_a_failing_run_is_a_row_with_its_error():
 
 
 def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypatch, one_by_one):
-    """Also where no run has ended yet."""
-    shown = []
+    """Also where no run has ended yet. At the end it is gone."""
+    shown, stream = [], io.StringIO()
 
     class Bar(tqdm.auto.tqdm):
         def __init__(self, **options):
-            super().__init__(**options | dict(disable=False, file=io.StringIO()))
+            super().__init__(**options | dict(disable=False, file=stream))
 
         def refresh(self, *given, **named):
             shown.append(self.n)
@@ -162,6 +162,7 @@ def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypa
         monkeypatch.setattr(campaigns, "simulate", slow)
         assert (rhec.campaign([SHORT], workers=1)["error"] == "").all()
         assert (0 in shown) == (seconds > 0)
+        assert not stream.getvalue().endswith("\n")
 
 
 # What is kept
