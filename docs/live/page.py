@@ -246,7 +246,7 @@ def _world():
         errors=functions.ERRORS,
         metrics=METRICS,
         noise=dict(n=packed_size(plant.NOISE), step=NOISE_STEP),
-        n_fault=packed_size(faults.STREAM),
+        n_fault=packed_size(faults.stream_shapes(0)),
         faults={name: f"({', '.join(map(repr, fault))},)" for name, fault in FAULTS.items()},
         shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
         seeds=[*SEEDS],

@@ -130,7 +130,7 @@ def _block(build, arguments, reads, writes, remembers, draws):
 
 
 # Loops that differ in one block share the others, which take a third of a second to build.
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache
 def _built(symbols, build, arguments):
     """build(*arguments); `symbols` are SX or MX, which a compiler decides."""
     return build(*arguments)

@@ -13,7 +13,7 @@ from rhec.core._casadi.validation import refuse, shown
 MEMORY = "memory"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True)
 class OwnStep:
     """What an estimator and a controller of one's own have in common.
 

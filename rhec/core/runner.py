@@ -160,7 +160,7 @@ class OneByOne(Program):
 
 
 # Making one takes as long as 50 samples.
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache
 def _one_by_one(function):
     return OneByOne(function)
 

@@ -83,9 +83,22 @@ def evaluated(parts, values) -> dict:
 
     Returns:
         The values, and what the Functions have written last at each place.
+
+    Raises:
+        ValueError: If a value has another shape than a Function reads; one sentence.
     """
     values = dict(values)
     for part in parts:
+        for name, place in part.reads.items():
+            _check_shape(part.function, name, place, values[place].shape)
         results = part.function.call([values[place] for place in part.reads.values()])
         values |= zip(part.writes.values(), results)
     return values
+
+
+def _check_shape(function, name, place, shape):
+    """Refuse another shape than the Function's; CasADi would repeat numbers to fill it."""
+    if function.size_in(name) != shape:
+        raise ValueError(
+            f"{function.name()!r} reads {place!r} of shape {function.size_in(name)}; it has {shape}"
+        )

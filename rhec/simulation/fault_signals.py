@@ -185,7 +185,7 @@ def stream(faults, samples, dt_s, seed, sensors=()):
     return np.hstack([age, hold, plan.dead, plan.added])
 
 
-def deliver(n_sensors=0):
+def deliver(n_sensors):
     """The Function (z, past, held, age, hold, dead, added) -> (z, past, held) of one sample.
 
     The measurement z (4 + n_sensors,) becomes the one that arrives. past (4 + n_sensors, PAST)

@@ -13,18 +13,17 @@ DELAY_MAX_S = 1.0
 PAST = 5  # earlier measurements that the closed loop stores
 
 
-def memory_shapes(n_sensors=0):
+def memory_shapes(n_sensors):
     """Shapes of what faulty sensors remember, by name; with `n_sensors` of SENSORS."""
     return dict(past=(4 + n_sensors, PAST), held=(4 + n_sensors, 1))
 
 
-def stream_shapes(n_sensors=0):
+def stream_shapes(n_sensors):
     """Shapes of what happens to one sample, by name."""
     n = 2 + n_sensors
     return dict(age=(n, 1), hold=(n, 1), dead=(n, 1), added=(4 + n_sensors, 1))
 
 
-STREAM = stream_shapes()
 KINDS = (
     "missing",
     "infinite",
@@ -129,6 +128,6 @@ class Fault:
         return self.start_s + self.duration_s
 
 
-def init(n_sensors=0):
+def init(n_sensors):
     """Memory before the first sample. Ages do not reach beyond it, so it is never delivered."""
     return {name: np.zeros(shape) for name, shape in memory_shapes(n_sensors).items()}

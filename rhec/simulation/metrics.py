@@ -145,8 +145,6 @@ def _overshoot(left, on_straight):
 
 def settled_samples(error, within=paper.TOLERANCE_M):
     """Numbers of the samples from which on errors (n,) [m] stay within the tolerance for 5 s."""
-    if len(error) <= SETTLING_SAMPLES:
-        return np.array([], dtype=int)
     inside = np.convolve(error < within, np.ones(SETTLING_SAMPLES), "valid")
     return np.flatnonzero(inside == SETTLING_SAMPLES)
 

@@ -17,7 +17,7 @@ SETTLED_S = 20.0  # by then the exact first guess no longer matters
 _TOLD = dict(traction=["mu", "kappa"], yaw_drift=["yaw_drift_radpm"], truth=TRUTH)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache
 def _build(outputs, choice):
     """An estimator's step over measurements, and what it is told."""
     step = build_step(choice)

@@ -170,7 +170,7 @@ def _estimator(scenario, world):
     yield Part(step, first, estimator.settings(scenario))
 
 
-@functools.lru_cache(maxsize=64)  # the runs of a campaign share it
+@functools.lru_cache  # the runs of a campaign share it
 def _first_memory(choice, guess):
     return estimator_of(choice.estimator).init(choice, dict(zip(QUANTITIES, guess)))
 

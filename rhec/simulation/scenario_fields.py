@@ -97,7 +97,7 @@ def _described(name, field):
         limits = f", {'above' if field.above_lowest else 'at least'} {field.lowest:g}"
     sentences = [f"{name}: {first.removesuffix('.')}{unit}{limits}.", *rest]
     indents = dict(initial_indent=" " * 4, subsequent_indent=" " * 8)
-    return textwrap.fill(" ".join(sentences), 92, break_on_hyphens=False, **indents)
+    return textwrap.fill(" ".join(sentences), 92, **indents)
 
 
 def docstring(scenario_class):

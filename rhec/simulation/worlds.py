@@ -13,7 +13,7 @@ class _Worlds(dict[str, dict]):
     """Worlds by name; a name that is none of theirs gets a sentence with those there are."""
 
     def __missing__(self, name):
-        alike = difflib.get_close_matches(str(name), self, n=1)
+        alike = difflib.get_close_matches(str(name), self)
         meant = f"; did you mean {alike[0]!r}?" if alike else ""
         raise KeyError(f"there is no world {name!r}; there are {', '.join(self)}{meant}")
 

@@ -52,14 +52,14 @@ def _numbers_of(scenario):
 # Runs that differ in other parameters share what follows from these alone.
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache
 def _problem(q, r, qn_factor, omega_max, horizon):
     weights = dict(q=q, r=r, qn_factor=qn_factor)
     options = options_of(**weights, omega_max=omega_max, dt=paper.DT_S, horizon=horizon)
     return with_full_steps(problem_of(Options(**options)))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache
 def _first_plan(guess, *numbers):
     stages, settings = _problem(*numbers)
     return rhc.init(stages, np.array(guess[:3]), np.array(guess[3:]), settings)

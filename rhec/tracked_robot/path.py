@@ -45,7 +45,7 @@ def ahead_and_left(dx, dy, theta, lib):
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Path:
     """Lines and arcs one after the other; build it with `rows` or `from_segments`.
 
@@ -227,7 +227,7 @@ def path_of(scenario):
     return _rows(scenario.row_length_m, scenario.headland_radius_m, scenario.turns)
 
 
-@functools.lru_cache(maxsize=16)  # the runs of a campaign share it
+@functools.lru_cache  # the runs of a campaign share it
 def _rows(row_length_m, radius_m, turns):
     """The path of `Path.rows`."""
     return Path.from_segments(_PIECES[turns](row_length_m, radius_m), closed=True)

@@ -204,8 +204,7 @@ class PathTracker:
         if np.isfinite(omega_measured):
             self._call.set(omega_measured=omega_measured)
         self._call.set(estimate=_paper_estimate(estimate))
-        self._call.call()
-        self._call.set(s_m=self._call.results["s_m"])
+        self._follow()
         return self._xi_ref, self._call.results["omega_ref"]
 
     def _references_of_model(self, estimate, omega_measured):
@@ -225,11 +224,15 @@ class PathTracker:
         pose = estimate.x[places]
         if np.isfinite(pose).all():
             self._call.set(estimate=(*pose, self._speed_mps, 1.0, 1.0))
-        self._call.call()
-        self._call.set(s_m=self._call.results["s_m"])
+        self._follow()
         x_ref = np.zeros((len(states), self._xi_ref.shape[1]))
         x_ref[places] = self._xi_ref
         return x_ref, self._call.results["omega_ref"].copy()
+
+    def _follow(self):
+        """Find the closest point, from which the next search begins."""
+        self._call.call()
+        self._call.set(s_m=self._call.results["s_m"])
 
 
 def _paper_estimate(estimate):

@@ -49,7 +49,7 @@ Patch = tuple[Real, Real, Positive, Traction, Traction]
 
 
 # Equal only to itself, so that caches can tell fields apart without comparing them.
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Terrain:
     """Traction on a grid, between whose points it is bilinear, and beyond which it is constant.
 

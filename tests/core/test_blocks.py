@@ -145,9 +145,13 @@ def test_a_block_may_overwrite_a_setting():
             (SPLIT, Block(build_sensor, remembers=("x",)), CONTROLLER),
             "^no block writes 'x', which is remembered",
         ),
+        (
+            (*LOOP, Block(build_sensor, reads=dict(x="z"))),
+            r"^'sensor' reads 'z' of shape \(2, 1\); it has \(1, 1\)",
+        ),
     ],
 )
-def test_a_signal_from_nowhere_is_refused_in_one_sentence(loop, sentence):
+def test_a_signal_from_nowhere_or_of_another_shape_is_refused_in_one_sentence(loop, sentence):
     with pytest.raises(ValueError, match=sentence):
         sample(loop, ["gain"], ["u"])
 

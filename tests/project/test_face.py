@@ -148,6 +148,19 @@ def test_objects_show_what_they_are():
     ]
 
 
+def test_what_runs_and_campaigns_share_cannot_be_changed():
+    """They keep what they have made from it."""
+    things = [getattr(rhec, name) for name in rhec.__all__]
+    records = [
+        thing for thing in things if inspect.isclass(thing) and dataclasses.is_dataclass(thing)
+    ]
+    assert {rhec.Scenario, rhec.Path, rhec.Terrain, rhec.Model} <= {*records}
+    for record in records:
+        for field in dataclasses.fields(record):
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(object.__new__(record), field.name, None)
+
+
 def a_controller():
     """A controller of two states, of which the first is pushed, and rows of a trajectory of it."""
     model = rhec.Model(states=("x", "y"), inputs=("u",), f=lambda x, u, p: [u, x[0]])
@@ -260,6 +273,15 @@ def test_every_estimator_and_controller_has_the_same_verbs(name):
     made.restart()
     assert not made.ok and made.status
     np.testing.assert_array_equal(answers_of(made, samples), expected)
+
+
+def test_what_a_feedback_or_solve_is_not_told_is_the_same_everywhere():
+    defaults = {}
+    for made in (*MADE.values(), rhec.EKF):
+        for method in {made.feedback, getattr(made, "solve", made.feedback)}:
+            for name, parameter in inspect.signature(method).parameters.items():
+                if parameter.default is not parameter.empty:
+                    assert defaults.setdefault(name, parameter.default) == parameter.default, name
 
 
 def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_them():

@@ -109,7 +109,8 @@ def test_a_campaign_has_the_rows_of_simulate_in_order_and_equal_scenarios_run_on
 def test_what_varied_and_the_metrics_are_columns_and_constants_are_attributes():
     names = {field.name for field in dataclasses.fields(rhec.Scenario)}
     metrics = rhec.simulate(SHORT).metrics
-    assert list(metrics) == list(store.failed_row(""))[:-1] and not names & {*metrics}
+    assert {name: type(value) for name, value in metrics.items()} == store.TYPES
+    assert not names & {*metrics}
     for scenarios, varied in (
         ([], []),
         ([SHORT], []),
@@ -142,12 +143,12 @@ def test_a_failing_run_is_a_row_with_its_error():
 
 
 def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypatch, one_by_one):
-    """Also where no run has ended yet."""
-    shown = []
+    """Also where no run has ended yet. At the end it is gone."""
+    shown, stream = [], io.StringIO()
 
     class Bar(tqdm.auto.tqdm):
         def __init__(self, **options):
-            super().__init__(**options | dict(disable=False, file=io.StringIO()))
+            super().__init__(**options | dict(disable=False, file=stream))
 
         def refresh(self, *given, **named):
             shown.append(self.n)
@@ -161,6 +162,7 @@ def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypa
         monkeypatch.setattr(campaigns, "simulate", slow)
         assert (rhec.campaign([SHORT], workers=1)["error"] == "").all()
         assert (0 in shown) == (seconds > 0)
+        assert not stream.getvalue().endswith("\n")
 
 
 # What is kept
@@ -360,7 +362,7 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
         for estimator in ("rhe", "ekf")
         for seed in range(16)
     }
-    (task,) = batch.Plan(scenarios).tasks()
+    (task,) = batch.Plan(scenarios).tasks(1)
     assert [seed // 8 for _, seed in task] == [0] * 16 + [1] * 16
     assert [estimator for estimator, _ in task] == (["rhe"] * 8 + ["ekf"] * 8) * 2
 
@@ -379,10 +381,12 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
     readings = dict(largest_m=largest_error_m)
     here = rhec.campaign(scenarios, workers=1, readings=readings)
     assert here["largest_m"].notna().sum() == len(scenarios) - 1
-    for number in (2, 2):
-        assert_equal_rows(rhec.campaign(scenarios, workers=number, readings=readings), here)
+    for _ in range(2):
         for process in workers_of(psutil.Process()):
             process.kill()
+        assert_equal_rows(rhec.campaign(scenarios, workers=2, readings=readings), here)
+    workers.get_workers(2, large=True).stop(())  # as an interrupt does
+    assert not workers_of(psutil.Process())
     # Ctrl-C is blocked for the workers alone, and only while they start.
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
@@ -510,14 +514,19 @@ def test_workers_end_where_their_parent_was_killed(tmp_path):
         time.sleep(0.1)
 
 
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_workers_without_the_callers_compiler_are_refused(monkeypatch):
-    """What they would compute on the virtual machine differs in its last bits."""
-    monkeypatch.setenv("CC", "")  # the caller has found its compiler already
-    with pytest.raises(
-        RuntimeError, match="has C compiler False, but the caller has True, .*CC should"
-    ):
-        rhec.campaign(short(), workers=2)
+def test_a_worker_whose_compiler_fails_on_the_way_is_refused(monkeypatch, one_by_one):
+    """What it would compute on the virtual machine differs in its last bits."""
+
+    def failing(scenario):
+        run = rhec.simulate(scenario)
+        monkeypatch.setattr(compiled, "compiler", lambda: None if real else "cc")
+        return run
+
+    real = compiled.compiler()
+    monkeypatch.setattr(campaigns, "simulate", failing)
+    refused = pytest.raises(RuntimeError, match=f"C compiler {not real}, but the caller has")
+    with concurrent.futures.ThreadPoolExecutor(1) as threads, refused:
+        rhec.campaign(short(1), workers=threads)
 
 
 # Executors of the caller
@@ -685,7 +694,7 @@ def finished(missing, workers, run_task):
     """In place of the runs: their rows, in parts."""
     keys = [*missing]
     for begin in range(0, len(keys), 300):
-        row = store.example_metrics() | dict(error="")
+        row = store.failed_row("")
         yield {key: dict(row) for key in keys[begin : begin + 300]}
 
 

@@ -116,10 +116,13 @@ def test_numpy_scalars_are_numbers_and_replacing_one_validates_it():
 
 def test_help_and_table_describe_every_parameter():
     assert list(DESCRIBED) == FIELDS
+    docstring = " ".join(rhec.Scenario.__doc__.split())
     for name, field in DESCRIBED.items():
         limits = [limit for limit in (field.lowest, field.highest) if limit is not None]
         assert all(abs(limit) < 1e99 for limit in limits), name  # others have no meaning
         assert rhec.Scenario.__doc__.count(f"\n    {name}: ") == 1
+        _, *further = field.text.replace("eq. ", "eq.").split(". ")
+        assert ". ".join(further).replace("eq.", "eq. ") in docstring, name
         assert field.text.endswith(".") and "  " not in field.text and "[" not in field.text
         for choice in field.choices:
             assert isinstance(choice, bool) or str(choice) in field.text, name

@@ -18,6 +18,7 @@ def estimate(**states):
 def test_points_are_those_of_the_path_by_names_in_any_order():
     """Oracle: the path's own projection and poses; the estimate moves along the path, beside it."""
     tracker = rhec.PathTracker(PATH, 8, 0.1, look_ahead_m=0.2, speed=0.7, **NAMES)
+    papers = rhec.PathTracker(PATH, 8, 0.1, look_ahead_m=0.2)
     for s in np.arange(0.0, 12.0, 0.05):
         (pose,), _ = PATH.poses(np.array([s]))
         left = 0.1 * np.sin(s)
@@ -32,6 +33,17 @@ def test_points_are_those_of_the_path_by_names_in_any_order():
         np.testing.assert_allclose(x_ref[1], wanted[:, 2] + 4 * np.pi, atol=1e-9)
         assert not x_ref[0].any()
         np.testing.assert_allclose(yaw_rates, 0.7 * curvature[:-1], atol=1e-12)
+        xi_ref, _ = papers.references((x, y, pose[2] + 4 * np.pi, 0.7, 1.0, 1.0), 0.0)
+        np.testing.assert_allclose(xi_ref, x_ref[[3, 2, 1]], atol=1e-12)
+
+
+def test_near_the_centre_of_an_arc_the_closest_point_is_followed():
+    """As near as 0.23 of its radius, where a step along the path is 0.23 of one along the arc."""
+    tracker = rhec.PathTracker(rhec.Path.from_segments([(12.0, 0.5)]), speed=0.7, **NAMES)
+    for s in np.arange(0.0, 10.0, 0.05):
+        x, y = 0.46 * np.sin(s / 2), 2 - 0.46 * np.cos(s / 2)
+        tracker.references(estimate(x_m=x, y_m=y, yaw_rad=s / 2))
+        assert abs(tracker.s_m - s) < 1e-5
 
 
 def test_backwards_the_yaw_is_turned():

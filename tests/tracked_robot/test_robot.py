@@ -7,6 +7,7 @@ from helpers import SIMPLE_WORLD, no_compiler
 from oracles import DT
 
 import rhec
+from rhec.core.model.robot_model import interval
 from rhec.tracked_robot import plant
 from rhec.tracked_robot.slipping import SLIPPING
 
@@ -137,6 +138,20 @@ def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_
     *others, turning = (twice - rest) / np.where(once > rest, once - rest, 1)
     np.testing.assert_allclose(others, [0, 0, 4, 4], atol=1e-9)
     assert 2 < turning < 4
+
+
+def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():
+    """F(s, v) = F(s, v̄) + B (v - v̄), and its slopes are those at v̄, without slip."""
+    of_robot = interval(SLIPPING.model)
+    rng = np.random.default_rng(0)
+    s, v = rng.normal(size=of_robot.n_s), rng.normal(size=of_robot.n_v)
+    without = v * (np.arange(of_robot.n_v) < 2)
+    end, *slopes = (np.array(each) for each in of_robot.linearised(s, v, DT))
+    there, *expected = (np.array(each) for each in of_robot.linearised(s, without, DT))
+    for found, wanted in zip(slopes, expected):
+        np.testing.assert_allclose(found, wanted, atol=1e-12)
+    np.testing.assert_allclose(there, of_robot.step(s, without, DT), atol=1e-12)
+    np.testing.assert_allclose(end[:, 0] - there[:, 0], expected[1] @ (v - without), atol=1e-12)
 
 
 @pytest.mark.parametrize("speed_mps, place", [(0.0, 4), (0.5, 5)])

@@ -154,6 +154,9 @@ def test_a_file_that_would_unpack_to_more_than_any_field_is_refused_before_it_is
     with pytest.raises(ValueError, match="128,000,128 bytes, at most 128,000,000"):
         rhec.Terrain.load(tmp_path / "field.npz")
     assert read == [] and (tmp_path / "field.npz").stat().st_size < 1_000_000
+    monkeypatch.setattr(terrain, "_MOST_BYTES", 128_000_128)
+    with pytest.raises(ValueError, match="origin_m"):  # what is not in the file
+        rhec.Terrain.load(tmp_path / "field.npz")
 
 
 def test_between_the_points_it_is_bilinear_and_beyond_them_constant():

@@ -15,7 +15,7 @@ does not settle.
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, short_cut
-from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_plausible
+from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, TINY, is_plausible
 
 _MAX_VARIANCE = MAX_PLAUSIBLE_STATE / 2  # in the direction of an output
 
@@ -106,7 +106,7 @@ def _moves(outputs, s_bar, z, y):
     columns = [ca.DM(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
         H = output.slope(s_bar, z)
-        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), 1e-300))
+        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), TINY))
     return ca.horzcat(*columns)
 
 

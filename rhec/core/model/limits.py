@@ -1,4 +1,4 @@
-"""Limits of plausibility: beyond them a number is no measurement, no state, no entry of a QP."""
+"""Limits of numbers: beyond them one is no measurement, no state, no entry of a QP, no divisor."""
 
 import casadi as ca
 
@@ -7,6 +7,7 @@ from rhec.core._casadi.build import every
 MAX_MEASUREMENT = 1e8  # in any unit; a Model may say less
 MAX_PLAUSIBLE_STATE = 1e12  # of an estimate
 MAX_QP_ENTRY = 1e20  # that a solver is given; as a bound: no bound
+TINY = 1e-300  # the least divisor, where one may be 0
 
 
 def is_valid_measurement(z, limit):

@@ -51,7 +51,7 @@ class MotionNoise(NamedTuple):
     process: Callable
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """A robot, or any other system, whose motion can be written down in a few lines.
 

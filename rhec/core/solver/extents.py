@@ -4,9 +4,10 @@ import functools
 
 import casadi as ca
 
+from rhec.core.model.limits import TINY
+
 _LEAST_EXTENT = 1e-9  # of a state that moves, relative to itself; less may be rounding
 _LEAST_ROOT = 1e-6  # root of the least cost of an extent, relative to that of a node
-_TINY = 1e-300
 
 
 def weight_of_gaps(root, per_extent, typical):
@@ -37,10 +38,10 @@ def inverse_extent(key, old, full, root, typical):
     """
     begin = ca.repmat(full[:, 0], 1, full.size2()) if key == "s" else 0
     way = ca.fmax(largest(old - begin), largest(full - begin))
-    least = ca.if_else(root > 0, _LEAST_ROOT * typical / ca.fmax(root, _TINY), 0)
+    least = ca.if_else(root > 0, _LEAST_ROOT * typical / ca.fmax(root, TINY), 0)
     least = ca.fmax(least, _LEAST_EXTENT * largest(old))
     extent = ca.if_else(way > 0, ca.fmax(way, least), 0)
-    return ca.if_else(extent > 0, 1 / ca.fmax(extent, _TINY), 0)
+    return ca.if_else(extent > 0, 1 / ca.fmax(extent, TINY), 0)
 
 
 def typical_root(cost, s):

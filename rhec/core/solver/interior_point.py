@@ -33,7 +33,7 @@ import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, every, in_turn, select_inputs
 from rhec.core._casadi.compiled import loop_symbols
-from rhec.core.model.limits import MAX_QP_ENTRY
+from rhec.core.model.limits import MAX_QP_ENTRY, TINY
 from rhec.core.solver.gauss_newton import symmetric
 
 _DOUBLINGS = 5
@@ -52,7 +52,6 @@ _LEAST_SCALE = 1e-3  # smallest scale of a row, as a share of the way that the f
 _OWN_PRICE = 1e3  # over the least slope that moves a row as the free QP does
 _KEPT = 1e-6  # excess of a row without a price, relative to its scale, up to which it is kept
 NO_PRICE = MAX_QP_ENTRY
-_TINY = 1e-300  # avoids a division by zero
 _NO_BOUND = 0.1 * MAX_QP_ENTRY
 
 
@@ -236,8 +235,8 @@ def _widest(shape, b):
     n_hard = shape.n_hard // 2
     pairs = ca.vertsplit(own, [0, n_hard, 2 * n_hard, 2 * n_hard + shape.n_soft, own.numel()])
     other = ca.vertcat(pairs[1], pairs[0], pairs[3], pairs[2])
-    other = ca.if_else(other > _TINY, other, 1)
-    return ca.if_else(own > _TINY, own, other) + _TINY
+    other = ca.if_else(other > TINY, other, 1)
+    return ca.if_else(own > TINY, own, other) + TINY
 
 
 def _band(shape, there, b):
@@ -267,8 +266,8 @@ def _build_start(shape):
         there, b = _bounded(given["b"])
         stages = shape.by_node(shape.stage, given)
         cost, compliance = without_bounds(stages)
-        stiffness = ca.if_else(compliance > _TINY, 1 / ca.fmax(compliance, _TINY), 0)
-        scale = cost + ca.dot(stiffness, ca.sum2(ca.fmin(b, 0) ** 2)) / 2 + _hidden(stages) + _TINY
+        stiffness = ca.if_else(compliance > TINY, 1 / ca.fmax(compliance, TINY), 0)
+        scale = cost + ca.dot(stiffness, ca.sum2(ca.fmin(b, 0) ** 2)) / 2 + _hidden(stages) + TINY
         # A bound that rounding alone keeps away, such as at rest on it, has no scale of its own.
         free_way = ca.sqrt(scale * compliance)
         band = _band(shape, there, b)
@@ -419,7 +418,7 @@ def _hidden(stages):
     """What rounding hides of the gain: _LEAST_GAIN of ½ Σ g² / H_ii."""
     g = ca.vertcat(*(stage["g"] for stage in stages))
     weight = ca.vertcat(*(ca.diag(stage["H"]) for stage in stages))
-    by_itself = ca.if_else(weight > 0, g**2 / ca.fmax(weight, _TINY), 0)
+    by_itself = ca.if_else(weight > 0, g**2 / ca.fmax(weight, TINY), 0)
     return _LEAST_GAIN * ca.sum1(by_itself) / 2
 
 
@@ -622,7 +621,7 @@ def _build_iteration(shape, problem, state):
             stages, points, price, [none] * len(stages)
         )
         alpha = 1 / ca.fmax(most, 1)
-        left = (total + alpha * first + alpha**2 * second) / ca.fmax(total, _TINY)
+        left = (total + alpha * first + alpha**2 * second) / ca.fmax(total, TINY)
         share = ca.fmin(ca.fmax(left, 0), 1)
         # Much below what counts as converged, the recursion would lose digits and gain nothing.
         target = ca.fmax(share**3 * total / n_sides, _LEAST_TARGET * scale)
@@ -632,7 +631,7 @@ def _build_iteration(shape, problem, state):
             dict(target=target, e_s=e_s, e_t=e_t) for e_s, e_t in zip(*map(ca.horzsplit, crossed))
         ]
         (most, first, second), step, _ = direction(stages, points, price, aims, policies)
-        alpha = ca.fmin(1, _TO_BOUNDARY / ca.fmax(most, _TINY))
+        alpha = ca.fmin(1, _TO_BOUNDARY / ca.fmax(most, TINY))
         after = {name: given[name] + alpha * change for name, change in step.items()}
         gap = (total + alpha * first + alpha**2 * second) / n_sides / scale
         error, gain = measured(stages, after, price, policies)

@@ -14,6 +14,7 @@ near a solution (Maratos effect), and no more than a few of them can fail to con
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, in_turn, select_inputs
+from rhec.core.model.limits import TINY
 from rhec.core.solver.extents import inverse_extent, typical_root, weight_of_gaps
 
 PENALTY = (2, 1)  # μ and the least |D| so far; zeros before the first step
@@ -51,7 +52,7 @@ def line_search(name, unknowns, data, cost_and_gaps):
         step = {key: values[f"{key}_full"] - values[key] for key in unknowns}
         cost, gaps = called(cost_and_gaps, old, given)
         slope = slope_of(cost_and_gaps, old, step, given)
-        needed = slope / ((1 - _SHARE) * ca.fmax(gaps, 1e-300))
+        needed = slope / ((1 - _SHARE) * ca.fmax(gaps, TINY))
         penalty = ca.fmax(penalty, ca.if_else(gaps > 0, needed, 0))
         merit = cost + penalty * gaps
         descent = slope - penalty * gaps

@@ -22,6 +22,7 @@ the solution is that of hard rows.
 import casadi as ca
 
 from rhec.core._casadi.build import casadi_function, select_inputs
+from rhec.core.model.limits import TINY
 from rhec.core.solver.extents import inverse_extent, largest, typical_root, weight_of_gaps
 from rhec.core.solver.interior_point import NO_PRICE
 from rhec.core.solver.line_search import (
@@ -43,7 +44,6 @@ _OF_STATES = 1e-15  # the same of states, from which gaps and excesses follow
 _LEAST_SHARE = 0.05
 _FULL_SHARE = 0.99  # from here on a full step is taken, which ends exactly at the bounds
 _NO_STEP = 1e-9  # relative to each extent of the plan: a step at which an iteration ends
-_TINY = 1e-300
 
 
 def relaxation(name, unknowns, data, cost):
@@ -76,7 +76,7 @@ def relaxation(name, unknowns, data, cost):
     def search(penalty, solved, kkt, price, excess, **values):
         share, relief, mu, last = ca.vertsplit(penalty, [0, 1, 2, 3, carried])
         here = cost(**select_inputs(cost, values))
-        change = kkt / ca.fmax(here["cost"], _TINY)
+        change = kkt / ca.fmax(here["cost"], TINY)
         old = {key: values[key] for key in unknowns}
         steps = {key: values[f"{key}_full"] - values[key] for key in unknowns}
         step = ca.veccat(*steps.values())
@@ -141,7 +141,7 @@ def _good_share(merit, lengths, old, step, given, share, mu, lost):
     gaps = here["gaps"]
     cost_there, gaps_there = called(merit, moved(old, step, share), given)
     rise = ca.fmax((cost_there - cost) / share, slope_of(merit, old, step, given))
-    mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, _TINY), 0))
+    mu = ca.fmax(mu, ca.if_else(gaps > 0, 2 * rise / ca.fmax(gaps, TINY), 0))
     before = cost + mu * gaps
     # Far from the origin the states' own rounding counts more than that of the merit.
     of_gaps, of_way = lost
@@ -183,7 +183,7 @@ def _next_share(share, last, step):
     Both steps are relative to the extents of the plan.
     """
     change = step - last
-    relaxed = -share * ca.dot(last, change) / ca.fmax(ca.dot(change, change), _TINY)
+    relaxed = -share * ca.dot(last, change) / ca.fmax(ca.dot(change, change), TINY)
     # A comparison with a number that is none is false; then the step is a full one.
     is_partial = ca.logic_and(share > 0, relaxed < _FULL_SHARE)
     return ca.if_else(is_partial, ca.fmax(relaxed, _LEAST_SHARE), 1)

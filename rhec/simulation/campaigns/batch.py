@@ -92,7 +92,7 @@ class Plan:
         """The mean number of samples of the runs per compiled loop."""
         return self.samples / (1 + int(self._loops.max()))
 
-    def tasks(self, least=1):
+    def tasks(self, least):
         """Yield parts of {key: scenario} that take about a second; less, to make `least` parts.
 
         Runs that share work become neighbours: they are sorted by groups of seeds, which share

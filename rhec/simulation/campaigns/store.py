@@ -19,12 +19,15 @@ from rhec.core._casadi import compiled
 from rhec.core._casadi.validation import shown
 from rhec.core.own_step import OwnStep
 from rhec.files import replacing
-from rhec.simulation import closed_loop
 from rhec.simulation.campaigns.optional import optional
+from rhec.simulation.metrics import METRICS
 from rhec.tracked_robot import terrain
 
 # Types of nearly all parameters of a scenario; their repr is exact to the last bit.
 PLAIN = {bool, int, float, str, tuple, type(None)}
+# {name of a metric: its type}
+TYPES = {name: int if unit == "samples" else float for name, (unit, _) in METRICS.items()}
+TYPES |= dict(solver_ok=bool)
 
 
 def provenance():
@@ -41,8 +44,8 @@ def provenance():
 def _installed():
     versions = {name: importlib.metadata.version(name) for name in ("casadi", "numpy", "scipy")}
     return versions | {
-        "source of rhec": compiled.source_digest()[:16],
-        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest()[:16],
+        "source of rhec": compiled.source_digest(),
+        "data of rhec": hashlib.sha256(terrain.STANDARD_FIELDS.read_bytes()).hexdigest(),
     }
 
 
@@ -72,21 +75,9 @@ def _digest_of_step(own_step):
     return hashlib.sha256(repr(own_step.identity).encode()).hexdigest()
 
 
-@functools.cache
-def example_metrics():
-    """Return metrics of a run with one sample of zeros, for their names and types."""
-    names = (*closed_loop.COLUMNS, "t_s", "error_m", "error_true_m")
-    columns = dict.fromkeys(names, np.zeros(1))
-    columns |= dict.fromkeys(("ok", "on_straight"), np.zeros(1, bool))
-    return closed_loop.metrics(columns, np.zeros((1, 3)))
-
-
 def failed_row(error):
     """Return the row of a failed run: its metrics are NaN or False."""
-    row = {
-        name: False if isinstance(value, bool) else np.nan
-        for name, value in example_metrics().items()
-    }
+    row = {name: False if kind is bool else np.nan for name, kind in TYPES.items()}
     return row | dict(error=error)
 
 
@@ -97,7 +88,7 @@ class Rows:
     """
 
     def __init__(self, readings=()):
-        self._examples = example_metrics() | dict.fromkeys(readings, np.nan)
+        self._types = TYPES | dict.fromkeys(readings, float)
         self._places = {}  # {key: place of its row}
         self._metrics = array("d")  # row after row
         self._errors = {}  # {place: reason} of failed runs
@@ -112,8 +103,8 @@ class Rows:
             self._errors.pop(place, None)
             if row["error"]:
                 self._errors[place] = row["error"]
-            begin = place * len(self._examples)  # the end of the array, if the row is new
-            values = array("d", [row.get(name, np.nan) for name in self._examples])
+            begin = place * len(self._types)  # the end of the array, if the row is new
+            values = array("d", [row.get(name, np.nan) for name in self._types])
             self._metrics[begin : begin + len(values)] = values
 
     def places(self, keys):
@@ -130,12 +121,10 @@ class Rows:
         gone after that, so that no campaign holds all of them twice.
         """
         columns = {}
-        table = np.frombuffer(self._metrics).reshape(-1, len(self._examples))[places]
+        table = np.frombuffer(self._metrics).reshape(-1, len(self._types))[places]
         self._metrics = array("d")
-        for values, (name, example) in zip(table.T, self._examples.items()):
-            if isinstance(example, bool | int) and np.isfinite(values).all():
-                values = values.astype(type(example))
-            columns[name] = values
+        for values, (name, kind) in zip(table.T, self._types.items()):
+            columns[name] = values.astype(kind, copy=False) if np.isfinite(values).all() else values
         return columns | dict(error=[self._errors.get(place, "") for place in places])
 
 
@@ -149,7 +138,7 @@ def open_folder(folder):
     optional("pyarrow", f"folder={str(folder)!r}")
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"folder was {str(folder)!r}; that is a file, it should be a folder")
-    folder = folder / hashlib.sha256(json.dumps(provenance()).encode()).hexdigest()[:16]
+    folder = folder / hashlib.sha256(json.dumps(provenance()).encode()).hexdigest()
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -160,7 +149,7 @@ def _schema():
     import pyarrow as pa
 
     types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
-    metrics = {name: types[type(value)] for name, value in example_metrics().items()}
+    metrics = {name: types[kind] for name, kind in TYPES.items()}
     return pa.schema(dict(key=pa.string()) | metrics)
 
 
@@ -173,7 +162,7 @@ def save_rows(folder, rows):
     if not rows:
         return
     table = pa.Table.from_pylist([dict(key=key) | row for key, row in rows.items()], _schema())
-    name = hashlib.sha256("".join(rows).encode()).hexdigest()[:32]
+    name = hashlib.sha256("".join(rows).encode()).hexdigest()
     with replacing(folder / f"{name}.parquet") as unfinished:
         pq.write_table(table, unfinished, write_page_checksum=True)
 

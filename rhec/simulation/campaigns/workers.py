@@ -219,13 +219,15 @@ def _into_file(function, task, folder):
     Without room for the file, it is (None, function(task)).
     """
     result = function(task)
-    file = None
     try:
         handle, file = tempfile.mkstemp(dir=folder)
+    except OSError:
+        return None, result
+    try:
         with open(handle, "wb") as content:
             pickle.dump(result, content)
     except OSError:
-        with contextlib.suppress(OSError, TypeError):
+        with contextlib.suppress(OSError):
             os.unlink(file)
         return None, result
     return file, None
