@@ -79,9 +79,10 @@ def level(xlim, y, **look):
 # Limits in coarse steps, which do not change with small changes of the data
 
 
-def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
-    """The smallest step not below the value; the largest step for larger values and NaN."""
-    return next((step for step in steps if value <= step), steps[-1])
+def round_up_to(value):
+    """The smallest 0.15 · 2ⁿ, n = 0 to 11, not below the value; the largest for NaN and beyond."""
+    doublings = np.ceil(np.log2(max(value, 0.15) / 0.15)) if value < 300 else 11
+    return 0.15 * 2.0**doublings
 
 
 def _finite(columns, *names):
@@ -131,7 +132,7 @@ def _map_limits(run, zoom):
     elif zoom == "first row":
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
         ends = path.poses([0.0, end - 1e-6])[0][:, :2]
-        beside = round_up_to(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
+        beside = 1.1 * round_up_to(abs(run.scenario.start_offset_m))
         low = ends.min(axis=0) - (1, beside)
         high = ends.max(axis=0) + (1, beside)
         scale = ""

@@ -99,15 +99,45 @@ def test_each_parameter_of_a_scenario_has_a_control_or_a_reason():
     )
 
 
-def test_each_slider_has_its_first_value_between_its_ends():
-    """Of a logarithmic one the ends are powers of ten."""
-    values = controls.values_of(SHORT)
-    sliders = [each for each in controls.CONTROLS.values() if isinstance(each, controls.Slider)]
-    for slider in sliders:
-        assert slider.low < slider.high and 0 < slider.step < slider.high - slider.low, slider.key
-        value = values[slider.key]
-        place = np.log10(value) if slider.kind == "log" else value
-        assert slider.low <= place <= slider.high, slider.key
+SLIDERS = {k: each for k, each in controls.CONTROLS.items() if isinstance(each, controls.Slider)}
+
+
+@pytest.mark.parametrize("key", SLIDERS)
+def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be(key):
+    """What it shows at first is one of them; of a logarithmic one the ends are powers of ten."""
+    slider, values = SLIDERS[key], controls.values_of(SHORT)
+    widget = explorer._input(slider, values[key])
+    assert slider.low <= widget.min < slider.low + slider.step and widget.max == slider.high
+    steps = (slider.high - slider.low) / slider.step
+    assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
+    # Soil that is half firm may vary most.
+    values |= dict(process_noise="custom", mu_mean=0.5, kappa_mean=0.5)
+    for end, place in ((slider.low, widget.min), (slider.high, widget.max)):
+        is_near_a_limit = key in ("speed_mps", "mu_mean", "kappa_mean", "gyro_scale")
+        assert is_near_a_limit or float(f"{end:.1g}") == end
+        value = 10.0**place if slider.kind == "log" else place
+        controls.scenario_of(values | {key: value}, "rhe", SHORT)
+
+
+def test_what_may_be_chosen_is_what_its_name_says():
+    """Faults have the numbers of their names; a new patch lies on the first row and slips."""
+    for name, faults in controls.CONTROLS["faults"].options[1:]:
+        (fault,) = faults
+        numbers = {float(number) for number in re.findall(r"[\d.]+", name)}
+        sizes = {fault.size_m, fault.delay_s, fault.duration_s} - {None}
+        assert numbers == {size for size in sizes if size < 1e6}, name
+        row_s = SHORT.row_length_m / SHORT.speed_mps
+        assert fault.kind == "latency" or row_s / 2 < fault.start_s < row_s, name
+        assert fault.channel in (*name.split(), "gnss"), name
+    assert dict(controls.CONTROLS["sensors"].options) == {
+        "none": (),
+        "gyro": ("gyro",),
+        "heading": ("heading",),
+        "gyro and heading": ("gyro", "heading"),
+    }
+    path = rhec.Path.rows(SHORT.row_length_m, SHORT.headland_radius_m, SHORT.turns)
+    assert path.project([controls.NEW_PATCH[:2]])[0] == pytest.approx(0)
+    assert controls.NEW_PATCH[3] < SHORT.mu_mean and controls.NEW_PATCH[4] < SHORT.kappa_mean
 
 
 def test_own_process_noise_has_the_size_each_estimator_takes():
@@ -228,7 +258,7 @@ def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
 
 def test_limits_go_in_coarse_steps_up_to_the_largest():
     assert field_run.round_up_to(0.3) == 0.3 and field_run.round_up_to(0.31) == 0.6
-    assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 300
+    assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 0.15 * 2**11
 
 
 def test_pinned_runs_stay(made):
