@@ -79,7 +79,10 @@ STARTS = [
 
 @pytest.mark.parametrize("start", STARTS)
 def test_untouched_controls_give_the_start_scenario(start):
-    assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
+    values = controls.values_of(start)
+    assert controls.scenario_of(values, start.estimator, start) == start
+    is_own = start.sigma_w or start.sigma_v or start.process_noise == "soft_soil"
+    assert values["process_noise"] == ("custom" if is_own else start.process_noise or "prediction")
 
 
 # Parameters for which the explorer has other means, and those that it leaves to Python: objects;
@@ -261,6 +264,12 @@ def test_limits_go_in_coarse_steps_up_to_the_largest():
     assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 0.15 * 2**11
 
 
+def test_less_is_better_and_what_is_not_known_is_neither():
+    assert explorer.change(-0.0123, 3) == '<span class="better">−0.012</span>'
+    assert explorer.change(2.0, 0) == '<span class="worse">+2</span>'
+    assert explorer.change(-1e-9, 3) == "0" and explorer.change(float("nan"), 3) == "–"
+
+
 def test_pinned_runs_stay(made):
     made.pin.click()
     pinned = made.runs
@@ -292,13 +301,62 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
                 found = [each[1:] for each in panels[panel]]
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
-    # The figure that is saved has the same lines and dots.
+    # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
     figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
-    saved = {axes.get_title("left"): axes.get_lines() for axes in figure.axes}
+    saved = {axes.get_title("left"): axes for axes in figure.axes}
     for name, panel in made.screen.picture["panels"].items():
-        shown = [(x, y) for mark, x, y in panels[name] if mark["kind"] in ("line", "dots")]
-        for line, (x, y) in zip(saved[panel["title"]], shown, strict=True):
-            np.testing.assert_array_equal(np.float32(line.get_data()), [x, y], panel["title"])
+        axes = saved[panel["title"]]
+        assert axes.get_yscale() == ("log" if name == "kkt" else "linear")
+        assert axes.get_ylim() == pytest.approx(panel["ylim"]) or name == "map"
+        shown = [each for each in panels[name] if each[0]["kind"] in ("line", "dots")]
+        for line, (mark, *x_y) in zip(axes.get_lines(), shown, strict=True):
+            np.testing.assert_array_equal(np.float32(line.get_data()), x_y, panel["title"])
+            assert line.get_alpha() == mark["alpha"]
+            assert 4 / 3 * line.get_linewidth() == pytest.approx(mark["width"])
+            assert bool(mark["dash"]) == line.is_dashed() and sum(mark["dash"]) == pytest.approx(
+                sum(line._unscaled_dash_pattern[1] or ()) * mark["width"]
+            )
+    (image,) = saved[made.screen.picture["panels"]["map"]["title"]].images
+    shades = image.norm(image.get_array())
+    kappa = made.runs[0].terrain.kappa
+    # White where nothing slips, and the darkest brown where κ is about 0.17.
+    np.testing.assert_allclose(shades, np.sqrt(1 - kappa.T) / 0.91)
+    (left, right, bottom, top), n = image.get_extent(), np.array(kappa.shape)
+    cell_m = np.array([right - left, top - bottom]) / n
+    first = np.array([left, bottom]) + cell_m / 2
+    np.testing.assert_allclose(first, made.runs[0].terrain.origin_m)
+    np.testing.assert_allclose(cell_m, made.runs[0].terrain.cell_m)
+
+
+def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_machine):
+    """And shades the time spent in curves."""
+    run = rhec.simulate(replace(SHORT, duration_s=120.0))
+    _, *panels = field_run.picture_of([run]).panels.items()
+    areas, dashed = {}, {}
+    for name, panel in panels:
+        y = np.concatenate([mark.y for mark in panel.marks if mark.label])
+        inside = y[(panel.ylim[0] <= y) & (y <= panel.ylim[1])]
+        assert len(inside) > 0.9 * len(y), name
+        scale = np.log10 if panel.scale == "log" else np.asarray
+        assert np.ptp(scale(inside)) > 0.2 * np.ptp(scale(panel.ylim)), name
+        assert panel.xlim == pytest.approx((0, 120))
+        areas[name] = [mark for mark in panel.marks if mark.kind == "area"]
+        dashed[name] = [mark.y[0] for mark in panel.marks if mark.dash]
+        curves_s = sum(np.ptp(mark.x) for mark in areas[name] if np.ptp(mark.x) < 120)
+        assert curves_s == pytest.approx(paper.DT_S * (~run.columns["on_straight"]).sum())
+    bound, limit = paper.OMEGA_MAX_RADPS, dict(panels)["yaw_rate"].ylim[1]
+    assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
+    *_, tolerance = areas["error"]
+    assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)
+
+
+def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
+    kappa = np.random.default_rng(0).uniform(0.2, 1, (700, 40))
+    terrain = rhec.Terrain(mu=kappa, kappa=kappa, origin_m=(-10.0, 3.0), cell_m=0.5)
+    (soil, *_) = field_run.picture_of([replace(made.runs[0], terrain=terrain)]).panels["map"].marks
+    assert 200 < len(soil.x) <= 300
+    i, j = ((at - first) / 0.5 for at, first in zip((soil.x, soil.y), terrain.origin_m))
+    np.testing.assert_array_equal(soil.traction, kappa[np.ix_(i.astype(int), j.astype(int))])
 
 
 def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
