@@ -17,6 +17,12 @@ CLAIMS_CSV = pd.read_csv(ROOT / "data/results/claims.csv")
 ROWS = CLAIMS_CSV.astype(object).where(CLAIMS_CSV.notna(), "").to_dict("records")
 ROUND = {"1.000", "2.000", "5.000"}
 DRAWN = [row for row in ROWS if row["value"] != ""]
+# Ratios that are all but alike, of the same order, and of several ones.
+RATIO = next(row for row in DRAWN if row["unit"] == "ratio") | dict(paper="", other_n=0)
+RATIOS = [
+    RATIO | dict(id=f"ratio {high}", value=1.02, low=1.01, high=high, above=0.99, below=np.inf)
+    for high in (1.04, 1.9, 7.0, 25.0, 40.0, 3000.0)
+]
 
 
 def number_of(text):
@@ -87,7 +93,7 @@ def test_a_card_links_the_live_page_only_where_there_is_one(page):
 
 
 def test_the_order_on_the_scale_is_that_of_the_numbers():
-    for row in DRAWN:
+    for row in (*DRAWN, *RATIOS):
         drawn = cards.interval(row)
         numbers = dict(zip(("value", "low", "high"), drawn["rows"][0][2:]))
         pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]

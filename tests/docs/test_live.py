@@ -4,14 +4,17 @@ import base64
 import ctypes
 import gzip
 import itertools
+import json
 import re
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
+from bs4 import BeautifulSoup
 
 import rhec
 from docs.live import functions, page, wasm, window
@@ -170,6 +173,33 @@ def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
             value = np.atleast_1d(values[slider["field"]])[slider["place"] or 0]
             place = np.log10(value) if slider["kind"] == "log" else value
             assert slider["low"] <= place <= slider["high"], slider
+
+
+def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
+    """Beside the page are the scripts and styles that it loads."""
+    monkeypatch.setattr(page, "ProcessPoolExecutor", lambda mp_context: ThreadPoolExecutor())
+    monkeypatch.setattr(page, "_module", lambda own: dict(of=sorted(own)))
+    monkeypatch.setattr(page, "_tools", lambda: dict(order=["shift"]))
+    monkeypatch.setattr(page, "SEEDS", range(1))
+    (tmp_path / "live").mkdir()
+    (tmp_path / "live/old.js").touch()
+    page.write(tmp_path)
+    arrived = {}
+    for file in (tmp_path / "live").glob("*.js"):
+        if data := re.fullmatch(r"live\.arrived\('(\w+)', (.*)\)\n", file.read_text("utf-8")):
+            arrived[file.stem] = json.loads(data[2])
+            assert data[1] == file.stem
+    world = arrived.pop("world")
+    assert world["windows"] == [5, 10, 15, 30] and world["cell_m"] == 0.5
+    assert arrived.pop("seed_0") == page.seed_data(0)
+    assert arrived.pop("tools") == dict(order=["shift"])
+    assert arrived == {name: dict(of=sorted(own)) for name, own in page.STRUCTURES.items()}
+    html = BeautifulSoup((tmp_path / "live.html").read_text("utf-8"), "html.parser")
+    loaded = [
+        each.get("src") or each["href"] for each in html.select("script, link[rel=stylesheet]")
+    ]
+    assert loaded and all((tmp_path / file).exists() for file in loaded)
+    assert not (tmp_path / "live/old.js").exists()
 
 
 def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys, tmp_path):

@@ -118,6 +118,42 @@ def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
     assert not list(tmp_path.glob("unfinished-*"))
 
 
+def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monkeypatch, capsys):
+    """Its pictures are smaller ones, its pages have their policy, and it says what it does."""
+    old = tmp_path / "below/report"
+    made = []
+
+    class Builder:
+        def __init__(self, source, configuration, site, doctrees, kind, status, tags):
+            made.append((source.name, configuration, kind, tags))
+            self.site = site
+
+        def build(self):
+            assert not old.exists() or (old / "old.html").exists()
+            (self.site / "_images").mkdir(parents=True)
+            Image.new("RGB", (4, 4)).save(self.site / "_images/one.png")
+            (self.site / "one.html").write_text('<head></head><img src="_images/one.png">')
+            (self.site / "theme.css.map").touch()
+
+    monkeypatch.setattr(report, "Sphinx", Builder)
+    monkeypatch.setattr(report, "_lay_out", lambda *given: made.append(given[1:]))
+    monkeypatch.setattr(report.page, "write", lambda site: (site / "live.html").touch())
+    for live in (False, True):
+        report.build(["notebook"], figures, old, live=live)
+        said = capsys.readouterr().out
+        assert f"report: {1 + live} pages, 0.0 MB, in 0 s" in said
+        assert said.count("\n") == 4 + live and ("WebAssembly" in said) == live
+        files = {file.relative_to(old).as_posix() for file in old.rglob("*") if file.is_file()}
+        assert files == {"one.html", "_images/one.webp"} | ({"live.html"} if live else set())
+        page = (old / "one.html").read_text()
+        assert "_images/one.webp" in page and "Content-Security-Policy" in page
+        laid_out, built = made[-2:]
+        assert laid_out == (["notebook"], figures, live)
+        assert built == ("source", ROOT / "docs", "html", ["live"] * live)
+        (old / "old.html").touch()
+    assert not list(old.parent.glob("unfinished-*"))
+
+
 def test_the_reference_has_all_public_names():
     text = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"(?m)^   (\w+)$", text))
@@ -130,6 +166,8 @@ def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsew
     site = tmp_path / "site"
     Sphinx(tmp_path, ROOT / "docs", site, tmp_path / "doctrees", "html", status=None).build()
     built = (site / "index.html").read_text()
+    assert not list(site.glob("_sources/index*")) and not (site / "genindex.html").exists()
+    assert "_sources" not in built
     injected = "document.title = 'RAN'"
     page = with_policy(built.replace("</body>", f"<script>{injected}</script></body>"))
     assert page.index("Content-Security-Policy") < page.index("<title>")
