@@ -220,6 +220,91 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     assert len(beside.patches) == 3
 
 
+def test_curves_of_many_drives_are_their_quantiles_and_shares(drawn, drives):
+    """A second at a time, in curves that are shaded."""
+    for many, share, by_name in zip(
+        *np.reshape(drawn["errors_of_many"].axes, (2, 2)), drives.values()
+    ):
+        *curves, tolerance = many.lines
+        assert [*tolerance.get_ydata()] == [paper.TOLERANCE_M] * 2
+        for line in (*curves, *share.lines):
+            np.testing.assert_allclose(
+                line.get_xdata(), np.arange(len(line.get_xdata())), atol=1e-9
+            )
+        for k, name in enumerate(("EKF", "RHE")):
+            _, median, p95 = over_fields(by_name[name], "error_m", 5)
+            beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, 5)
+            for line, expected in zip(
+                (*curves[2 * k :][:2], share.lines[k]), (median, p95, 100 * beyond)
+            ):
+                np.testing.assert_array_equal(line.get_ydata(), expected)
+                assert line.get_color() == style.COLOURS[name]
+        assert len(many.collections) == len(share.collections) == 1 and many.get_yscale() == "log"
+
+
+def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(drives):
+    runs = drives["prediction"]["RHE"]
+    log = runs[0].log
+    rows = np.reshape(scenarios.estimates({"a title": runs}).axes, (3, 2))
+    curve_s = log["t_s"][~log["on_straight"]]
+    for (time, beside), (value, sigma, truth, inside), unit in zip(
+        rows, stated(runs[0]).values(), ("θ", "μ", "κ")
+    ):
+        band = time.collections[0].get_paths()[0].vertices
+        assert band[:, 1].max() == pytest.approx((value + 2 * sigma).max())
+        assert band[:, 1].min() == pytest.approx((value - 2 * sigma).min())
+        estimate, true = time.lines
+        np.testing.assert_array_equal(estimate.get_ydata(), value)
+        np.testing.assert_array_equal(true.get_ydata(), truth)
+        assert f": {100 * inside:.0f} % within ± 2 σ" in time.get_title("left")
+        for stairs in beside.patches:
+            shares, edges, _ = stairs.get_data()
+            assert shares.sum() == pytest.approx(100)
+            assert time.get_ylim()[0] <= edges[0] < edges[-1] <= time.get_ylim()[1]
+        settled = np.concatenate([run.columns["t_s"] > 20 for run in runs])
+        if unit != "θ":
+            both = dict(μ=("mu_hat", "mu"), κ=("kappa_hat", "kappa"))[unit]
+            at_bound = np.mean((value < 1e-6) | (value > 1 - 1e-6))
+            assert f", {100 * at_bound:.0f} % at a bound" in time.get_title("left")
+            for stairs, name in zip(beside.patches, both, strict=True):
+                values = np.concatenate([run.columns[name] for run in runs])[settled]
+                shares, edges, _ = stairs.get_data()
+                top = (values >= edges[-2]).mean()
+                assert shares[-1] == pytest.approx(100 * top)
+    assert rows[0, 0].get_xlim() == (0, log["t_s"].max())
+    # The excerpt has the end of the first curve, or of the drive, in its middle.
+    assert np.mean(rows[2, 0].get_xlim()) == pytest.approx(curve_s.max(), abs=0.3)
+    assert np.ptp(rows[2, 0].get_xlim()) == pytest.approx(30)
+
+
+def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
+    runs = drives["prediction"]["RHE"]
+    for axes, name in zip(drawn["kkt"].axes, ("RHE", "RHC")):
+        low, middle, high = over_fields(runs, f"kkt_{name.lower()}")
+        (line,) = axes.lines
+        np.testing.assert_allclose(line.get_ydata(), np.maximum(middle, 5e-6))
+        np.testing.assert_allclose(line.get_xdata(), 0.2 * np.arange(1, len(middle) + 1))
+        band = axes.collections[0].get_paths()[0].vertices[:, 1]
+        assert (band.min(), band.max()) == pytest.approx((max(low.min(), 5e-6), high.max()))
+        assert axes.get_xscale() == axes.get_yscale() == "log" and axes.get_ylim()[0] == 1e-5
+        largest_s = line.get_xdata()[middle.argmax()]
+        assert f"{name}: largest median {middle.max():.2g}, at {largest_s:.1f} s" == axes.get_title(
+            "left"
+        )
+    time, beside = drawn["speed"].axes
+    for line, stairs, column in zip(
+        time.lines, beside.patches, ("nu_meas_mps", "nu_mps", "nu_hat_mps")
+    ):
+        np.testing.assert_array_equal(line.get_ydata(), runs[0].log[column])
+        shares, edges, _ = stairs.get_data()
+        assert shares.max() == 1 and (edges[0], edges[-1]) == pytest.approx(
+            (time.lines[0].get_ydata().min(), time.lines[0].get_ydata().max())
+        )
+        values = np.concatenate([run.columns[column][run.columns["t_s"] > 20] for run in runs])
+        assert edges[shares.argmax()] - 0.02 < np.median(values) < edges[shares.argmax()] + 0.02
+    assert [*time.lines[3].get_ydata()] == [paper.SPEED_MPS] * 2
+
+
 def test_replays_of_a_log_are_drawn_as_they_were():
     log = recorded_log(5.0, 30.0, noise_m=0.02, seed=1)
     given = dict(process_noise="prediction", sigma_v=paper.SIGMA_V, trust_log=True)
