@@ -80,7 +80,6 @@ def test_a_case_is_what_its_name_says_and_drives_on_after_it(family, name):
 
 def test_the_table_counts_seeds_that_recovered_in_time(monkeypatch):
     """Of three seeds one is back at once, one after 30 s and one never; the EKF is always back."""
-    errors = {}
 
     def look_up(of_course, scenarios):
         assert of_course is faults.course_of
