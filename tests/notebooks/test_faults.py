@@ -31,6 +31,27 @@ def test_a_response_counts_errors_while_the_fault_lasts_and_those_after_it():
     assert np.isnan(faults.response(late, 20.0, 30.0)["recovery_s"])
 
 
+def test_a_course_tells_where_it_is_wet_and_whether_all_is_within_bounds():
+    patch = (5.0, 0.0, 2.0, 0.9, 0.3)
+    run = rhec.simulate(rhec.Scenario(duration_s=20.0, patches=(patch,)))
+    c = run.columns
+    found = faults.course_of(run)
+    assert found.in_bounds and found.error_m is c["error_true_m"]
+    is_wet = np.hypot(c["x_m"] - 5.0, c["y_m"]) < 2.0
+    assert is_wet.any() and np.array_equal(found.is_wet, is_wet)
+    for name, value in (
+        ("omega_cmd_radps", 0.11),
+        ("omega_cmd_radps", -0.11),
+        ("mu_hat", 1.1),
+        ("kappa_hat", -0.1),
+        ("x_hat_m", np.inf),
+        ("theta_hat_rad", np.nan),
+        ("nu_hat_mps", np.nan),
+    ):
+        spoilt = c | {name: np.append(c[name][:-1], value)}
+        assert not faults.course_of(dataclasses.replace(run, columns=spoilt)).in_bounds, name
+
+
 def test_a_fault_lasts_as_its_case_says():
     assert faults.interval_s(course(), dict(fault=dict(duration_s=5.0)), 20.0) == (20.0, 25.0)
     assert faults.interval_s(course(), dict(patch=dict(radius_m=3.0)), 20.0) == pytest.approx(
