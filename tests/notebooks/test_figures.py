@@ -311,14 +311,47 @@ def test_replays_of_a_log_are_drawn_as_they_were():
     replays = {name: scores.perturbed_replay(log, seed, **given) for seed, name in enumerate("ab")}
     yaw = recorded_logs_plots.replay_yaw(replays)
     traction = recorded_logs_plots.replay_traction(replays, "a")
-    for axes, samples in zip(yaw.axes, replays.values()):
-        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], scores.yaw_error(samples))
-    for axes, name in zip(traction.axes, ("mu_hat", "kappa_hat")):
-        for line, samples in zip(axes.lines, replays.values()):
-            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[name])
+    for axes, (name, samples) in zip(yaw.axes, replays.items()):
+        error = scores.yaw_error(samples)
+        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], error)
+        found = scores.score(samples)
+        assert axes.get_title("left") == (
+            f"{name}: RMS {found['yaw_rms_rad']:.3f} rad after 8 m, "
+            f"{100 * found['inside_95']:.0f}% within 1.96 σ"
+        )
+        most = 2 * samples["sigma_theta_rad"].max()
+        assert ends_of(axes.collections[0]) == pytest.approx((-most, most))
+        assert axes.get_ylim()[1] == -axes.get_ylim()[0] >= np.abs(error).max()
+    first = replays["a"]
+    sliding, whole = scores.sliding_regression(first), scores.regression(first)
+    for place, (axes, name) in enumerate(zip(traction.axes, ("mu", "kappa"))):
+        *estimates, dots, dashed = axes.lines
+        for line, samples in zip(estimates, replays.values(), strict=True):
+            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[f"{name}_hat"])
+        np.testing.assert_array_equal(dots.get_ydata(), sliding[:, place])
+        assert dashed.get_ydata() == [whole[place]] * 2
+        hat, sigma = first[f"{name}_hat"], first[f"sigma_{name}"]
+        ends = np.clip([(hat - 2 * sigma).min(), (hat + 2 * sigma).max()], 0, 1)
+        assert ends_of(axes.collections[0]) == pytest.approx(tuple(ends))
+        late = hat[scores.distance_driven(first) >= scores.FROM_M]
+        low, high = axes.get_ylim()
+        shown = min(late.min(), np.nanmin(sliding[:, place]))
+        assert max(shown - 0.25, -0.03) < low < shown and 1 < high < 1.1
     for figure in (yaw, traction):
         assert figure.axes[-1].get_xlim() == (samples["t_s"].min(), samples["t_s"].max())
+        # It is shaded where the robot goes straight, and turns in the rest.
+        is_straight = samples["omega_meas_radps"].abs().rolling(11, center=True, min_periods=1)
+        is_straight = is_straight.median() < 0.05
+        shades = figure.axes[-1].collections[-1].get_paths()
+        shaded_s = sum(np.ptp(path.vertices[:, 0]) for path in shades)
+        assert shaded_s == pytest.approx(0.2 * is_straight.sum(), rel=0.2)
         assert text_defects(figure) == []
+
+
+def ends_of(band):
+    """The lowest and the highest value of a filled band."""
+    values = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
+    return np.nanmin(values), np.nanmax(values)
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):

@@ -16,7 +16,7 @@ from PIL import Image
 
 import rhec
 from docs.site.check_figures import difference
-from notebooks.further import traction_worth_plots
+from notebooks.further import faults, recorded_logs, traction_worth_plots
 from notebooks.plots import interpretations, robot_drawings, scenarios, which_worlds
 from notebooks.studies import order_in_worlds, scenario_tables
 from notebooks.studies import which_worlds as worlds
@@ -135,3 +135,21 @@ def test_a_posterior_is_drawn_over_the_range_of_its_prior_and_in_colour_if_it_te
         assert percent == pytest.approx(100 * max(row["narrowed"], 0), abs=0.51)
         colour = style.BLUE if row["narrowed"] > 0.15 else style.GREY
         assert stairs.get_facecolor()[:3] == to_rgb(colour)
+
+
+def test_a_row_of_the_published_faults_is_what_its_drives_give():
+    case = {"outage": {"10 s": faults.CASES["outage"]["10 s"]}}
+    runs = faults.study(rhec.Scenario(process_noise="prediction"), range(6), {"RHE": {}}, case)
+    made = faults.fault_table(runs)
+    of = table("table_faults")
+    row = of[(of["family"] == "GNSS outage") & (of["case"] == "10 s") & (of["estimator"] == "RHE")]
+    assert difference(made, row.reset_index(drop=True)) == ""
+
+
+def test_the_published_scores_of_a_replay_are_those_of_the_example_log():
+    estimators = {"EKF": recorded_logs.estimators("soft_soil", {})["EKF"]}
+    log = rhec.logs.read(style.ROOT / "data/example_log.csv")
+    trials = recorded_logs.trials(log, range(6), estimators, noise_m=0.02, yaw_error_rad=0.3)
+    made = recorded_logs.replay_table(trials)
+    of = table("table_replay")
+    assert difference(made, of[of["estimator"] == "EKF"].reset_index(drop=True)) == ""
