@@ -175,7 +175,7 @@ def interval(row):
     return dict(
         rows=[(kind, _ROWS[kind], *map(place, found)) for kind, found in findings.items()],
         beyond=beyond,
-        limits=sorted({round(place(bound), 1) for bound in bounds if np.isfinite(bound)}),
+        limits=sorted({place(bound) for bound in bounds if np.isfinite(bound)}),
         paper=None if np.isnan(paper) else place(paper),
         inside=(ends[0], ends[1] - ends[0]),
         ticks=ticks,

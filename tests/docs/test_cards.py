@@ -116,10 +116,33 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
             assert next_at - at > 6 * (len(text) + len(next_text)) / 2, row["id"]
 
 
+def test_a_picture_is_filled_with_a_little_room_on_both_sides():
+    """That of shares goes from 0 to 1, 14 px from the edges."""
+    for row in (*DRAWN, *RATIOS):
+        drawn = cards.interval(row)
+        places = [at for _, _, *found in drawn["rows"] for at in found]
+        if row["unit"].startswith("share"):
+            assert places[0] == pytest.approx(14 + 332 * row["value"], abs=0.1), row["id"]
+            continue
+        places += [*drawn["limits"], *filter(None, [drawn["paper"]])]
+        places = [at for at in places if 14 < at < 346]
+        assert min(places) + max(places) == pytest.approx(360, abs=0.2), row["id"]
+        assert 26 < min(places) < 42, row["id"]
+        assert len(drawn["ticks"]) < 10
+
+
 def test_a_lost_rival_far_away_leaves_the_others_apart():
     """Our number and the paper's are as far apart as on a card without that rival."""
     row = next(row for row in DRAWN if row["id"] == "B5")
     alone = cards.interval(row | dict(other_n=0, other_value=""))
+    value, reach = float(row["value"]), np.ptp([0.0, float(row["value"]), float(row["paper"])])
+    for times, is_beyond in ((3, False), (5, True)):
+        other = dict(other_n=9, other_value=value + times * reach, other_low="", other_high="")
+        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
+    reach = np.ptp([0.0, row["value"], row["low"], float(row["paper"])])
+    for times, is_beyond in ((3, False), (5, True)):
+        other = dict(other_n=9, other_value=times * reach, other_low="", other_high="")
+        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
     for far, half in ((-1e3, None), (1e3, None), (-1e3, 100.0), (1e3, 100.0)):
         side = np.sign(far)
         low, high = ("", "") if half is None else (far - half, far + half)

@@ -160,6 +160,11 @@ def test_the_line_that_is_drawn_is_the_path_in_equal_steps(turns):
     assert len(line) * field["path_step_m"] == pytest.approx(path.length_m)
 
 
+def test_the_page_has_as_many_seeds_as_it_says():
+    text = (page.HERE / "live.html.j2").read_text(encoding="utf-8")
+    assert "of the ten seeds" in text and [*page.SEEDS] == [*range(10)]
+
+
 def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
     world = page._world()
     assert {module for scene in world["scenes"].values() for _, module, _ in scene["runs"]} <= {
@@ -190,7 +195,9 @@ def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
             arrived[file.stem] = json.loads(data[2])
             assert data[1] == file.stem
     world = arrived.pop("world")
-    assert world["windows"] == [5, 10, 15, 30] and world["cell_m"] == 0.5
+    assert (
+        len(world["seeds"]) == 1 and world["windows"] == [5, 10, 15, 30] and world["cell_m"] == 0.5
+    )
     assert arrived.pop("seed_0") == page.seed_data(0)
     assert arrived.pop("tools") == dict(order=["shift"])
     assert arrived == {name: dict(of=sorted(own)) for name, own in page.STRUCTURES.items()}
