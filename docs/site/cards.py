@@ -113,7 +113,7 @@ def _numbers(row):
             )
     if row["paper"] != "":
         number = _as_number(row["paper"])
-        paper = row["paper"] if np.isnan(number) else with_minus(row["paper"])
+        paper = with_minus(row["paper"])
         has_unit = not np.isnan(number) and not unit.startswith("share")
         lines.append(("the paper", f"{paper} {unit}" if has_unit else paper, 0))
     return lines
