@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import rhec
-from notebooks.studies import order
+from notebooks.further import unknowns
+from notebooks.studies import interpretations, order
 
 
 def numbers_of(value):
@@ -19,20 +20,29 @@ def numbers_of(value):
     return {value} if isinstance(value, int | float) else set()
 
 
-@pytest.mark.parametrize("name", order.VARIATIONS)
-def test_a_variation_is_what_its_name_says(name):
-    """And both estimators can drive it."""
-    of = order.VARIATIONS[name]
+# All that is varied, by what it is called.
+NAMED = order.VARIATIONS | unknowns.WORLDS
+NAMED |= {words: of for words, of, *_ in interpretations.INTERPRETATIONS.values()}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_is_varied_is_what_its_name_says(name):
+    of = NAMED[name]
     said = {float(number) for number in re.findall(r"[\d.]+", name)}
     found = {number for value in of.values() for number in numbers_of(value)}
     assert said <= {abs(number) for number in found}
     is_negative = name != "wet patches" and min(found, default=0) < 0
-    assert is_negative == bool(re.search("−|behind|start on the right", name))
+    assert is_negative == bool(re.search("−|= -|behind|start on the right", name))
+
+
+@pytest.mark.parametrize("name", order.VARIATIONS)
+def test_both_estimators_can_drive_a_variation(name):
+    """A window is the RHE's alone."""
+    of = order.VARIATIONS[name]
     scenarios = [
         rhec.Scenario(estimator=each, **order._fields(of, each)) for each in ("rhe", "ekf")
     ]
     is_default = [each == rhec.Scenario(estimator=each.estimator) for each in scenarios]
-    # A window is the RHE's alone.
     assert is_default == [name == "as by default", name.startswith(("as by", "window"))]
 
 
