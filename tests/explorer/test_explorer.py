@@ -16,6 +16,7 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 import pytest
+from bs4 import BeautifulSoup
 
 import rhec
 from rhec import paper
@@ -262,6 +263,24 @@ def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
 def test_limits_go_in_coarse_steps_up_to_the_largest():
     assert field_run.round_up_to(0.3) == 0.3 and field_run.round_up_to(0.31) == 0.6
     assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 0.15 * 2**11
+
+
+def test_the_table_has_each_metric_under_its_heading(made):
+    """With as many digits as tell two drives apart: 0.1 mm, 0.1 s, a thousandth of a share."""
+    of_unit = {"[m]": 1e-3, "[rad]": 1e-4, "[s]": 0.1, "[-]": 1e-3, "GNSS": 1, "true": 1}
+    table = BeautifulSoup(made.screen.table, "html.parser")
+    headings = [" ".join(each.text.split()) for each in table.select("th")][1:]
+    for row, run in zip(table.select("tr")[1:], made.runs, strict=True):
+        name, *cells = (cell.text for cell in row.select("td"))
+        assert name.split()[-1] == field_run.name_of(run.scenario)
+        assert field_run.colour_of(run.scenario) in str(row)
+        for cell, heading, (metric, *_) in zip(cells, headings, explorer.METRICS, strict=True):
+            step = 1e-4 if heading.startswith("mean") else of_unit[heading.split()[-1]]
+            value = run.metrics[metric]
+            assert len(cell) == len(f"{value:.9f}") - 9 + max(0, round(-np.log10(step))) - (
+                step == 1
+            )
+            assert abs(float(cell) - value) <= 0.51 * step, heading
 
 
 def test_less_is_better_and_what_is_not_known_is_neither():
