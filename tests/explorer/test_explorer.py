@@ -112,6 +112,9 @@ def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be
     slider, values = SLIDERS[key], controls.values_of(SHORT)
     widget = explorer._input(slider, values[key])
     assert slider.low <= widget.min < slider.low + slider.step and widget.max == slider.high
+    unit = isinstance(key, str) and rhec.Scenario.describe().loc[key, "unit"]
+    assert slider.label.endswith(f" [{unit}]" if unit else slider.label[-1])
+    assert "[" not in slider.label or unit or slider.kind == "whole" or isinstance(key, tuple)
     steps = (slider.high - slider.low) / slider.step
     assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
     # Soil that is half firm may vary most.
@@ -320,6 +323,14 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
                 found = [each[1:] for each in panels[panel]]
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
+    # On one field both truths are nearly the same: that of the second run says whose it is.
+    truths = [mark for mark, *_ in panels["mu"] if mark["label"] == "truth"]
+    assert [(mark["note"], bool(mark["dash"])) for mark in truths] == [
+        ("of EKF", True),
+        ("", False),
+    ]
+    labels = {mark["label"] for mark, *_ in panels["map"]} - {"", "path, and bounds"}
+    assert labels == {"RHE", "EKF", "pinned RHE", "pinned EKF"}
     # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
     figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
     saved = {axes.get_title("left"): axes for axes in figure.axes}
@@ -600,6 +611,10 @@ def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
 
 
 # Compiling, drawing
+
+
+def test_its_styles_are_those_of_the_explorer(made):
+    assert "rhec" in made._dom_classes
 
 
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
