@@ -19,6 +19,7 @@ import pytest
 from bs4 import BeautifulSoup
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.explorer import controls, explorer, field_run
@@ -223,6 +224,17 @@ def test_a_changed_control_is_a_new_run_and_a_new_picture(made):
     title, error, line = repr(made).splitlines()
     assert title == "Explorer" and line.strip() == made.screen.line
     assert f"RHE: mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in error
+
+
+def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):
+    own = RIVALS["traction_oracle"]
+    made = rhec.Explorer(SHORT, against=own, folder=tmp_path)
+    for several, none in ((made.estimator, 0), (made.against, 1)):
+        assert [label for label, _ in several.options][-1] == own.label
+        assert len(several.options) == len(controls.ESTIMATORS) + 1 + none
+    assert [run.scenario.estimator for run in made.runs] == ["rhe", own]
+    # What is there already is there once.
+    assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(controls.ESTIMATORS)
 
 
 def test_the_papers_weights_are_one_run(made, monkeypatch):
