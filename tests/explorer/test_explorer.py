@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import ipywidgets
 import numpy as np
 import pandas as pd
 import pytest
@@ -625,8 +626,18 @@ def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
 # Compiling, drawing
 
 
-def test_its_styles_are_those_of_the_explorer(made):
-    assert "rhec" in made._dom_classes
+def test_every_widget_is_on_the_screen(made):
+    def below(widget):
+        return {
+            widget,
+            *(each for child in getattr(widget, "children", ()) for each in below(child)),
+        }
+
+    on_screen = below(made)
+    own = [*made.inputs.values(), *made.patch, *made.weights]
+    own += [each for each in vars(made).values() if isinstance(each, ipywidgets.DOMWidget)]
+    assert {*own} <= on_screen and len(own) > 70
+    assert "rhec" in made._dom_classes  # the styles are those of this class
 
 
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
