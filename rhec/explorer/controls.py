@@ -173,17 +173,12 @@ for _control in _CONTROLS:
 
 # The values of a new one of Scenario's `patches`, and sliders for its entries.
 NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
-PATCH = tuple(
-    _ranged(place, label, low, high, tooltip, NEW_PATCH[place])
-    for place, (label, low, high, tooltip) in enumerate(
-        (
-            ("along x [m]", -20, 50, "The first row runs along x from 0."),
-            ("across y [m]", -30, 60, "The first row is at y = 0."),
-            ("radius [m]", 0.5, 8, "Radius of the patch."),
-            ("μ inside", 0.1, 1, "Traction of the patch."),
-            ("κ inside", 0.1, 1, "Traction of the patch."),
-        )
-    )
+PATCH = (
+    Slider(0, "along x [m]", -20, 50, 0.5, "The first row runs along x from 0."),
+    Slider(1, "across y [m]", -30, 60, 0.5, "The first row is at y = 0."),
+    Slider(2, "radius [m]", 0.5, 8, 0.1, "Radius of the patch."),
+    Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
+    Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),
 )
 
 

@@ -106,17 +106,19 @@ def test_each_parameter_of_a_scenario_has_a_control_or_a_reason():
 
 
 SLIDERS = {k: each for k, each in controls.CONTROLS.items() if isinstance(each, controls.Slider)}
+SLIDERS |= {each.key: each for each in controls.PATCH}
 
 
 @pytest.mark.parametrize("key", SLIDERS)
 def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be(key):
     """What it shows at first is one of them; of a logarithmic one the ends are powers of ten."""
     slider, values = SLIDERS[key], controls.values_of(SHORT)
+    values |= dict(enumerate(controls.NEW_PATCH))
     widget = explorer._input(slider, values[key])
     assert slider.low <= widget.min < slider.low + slider.step and widget.max == slider.high
     unit = isinstance(key, str) and rhec.Scenario.describe().loc[key, "unit"]
     assert slider.label.endswith(f" [{unit}]" if unit else slider.label[-1])
-    assert "[" not in slider.label or unit or slider.kind == "whole" or isinstance(key, tuple)
+    assert "[" not in slider.label or unit or slider.kind == "whole" or not isinstance(key, str)
     steps = (slider.high - slider.low) / slider.step
     assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
     # Soil that is half firm may vary most.
@@ -125,7 +127,9 @@ def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be
         is_near_a_limit = key in ("speed_mps", "mu_mean", "kappa_mean", "gyro_scale")
         assert is_near_a_limit or float(f"{end:.1g}") == end
         value = 10.0**place if slider.kind == "log" else place
-        controls.scenario_of(values | {key: value}, "rhe", SHORT)
+        new = values | {key: value}
+        patch = tuple(new.pop(place) for place in range(5))
+        controls.scenario_of(new | dict(patches=(patch,)), "rhe", SHORT)
 
 
 def test_what_may_be_chosen_is_what_its_name_says():
