@@ -105,7 +105,13 @@ def test_the_picture_in_git_is_what_is_drawn(name, virtual_machine):
         assert differs.sum() < 20, f"{differs.sum()} values differ; look at it after `make figures`"
 
 
-def test_the_tables_in_git_are_what_the_drives_in_git_give():
+def test_the_tables_in_git_are_what_the_drives_in_git_give(monkeypatch):
+    """Of the table by how many simulations are kept, the first row."""
+    monkeypatch.setattr(worlds, "KEPT", worlds.KEPT[:1])
+    drives = worlds.prior_drives()
+    kept = worlds.by_kept(worlds.simulations(drives, worlds.both_rounds(drives))).reset_index()
+    expected = table("inverse_kept").head(1)
+    assert difference(kept.astype(expected.dtypes), expected) == ""
     for name, made in inverse()[1].items():
         assert difference(made.astype(table(name).dtypes), table(name)) == "", name
 
