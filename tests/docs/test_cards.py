@@ -55,7 +55,15 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         if row["n"]:
             said += [interval_text(row["value"], row["low"], row["high"]), f"n = {row['n']}"]
         assert [part for part in said if " ".join(part.split()) not in text] == []
-        assert bool(all_cards[row["id"]].svg) == (row["value"] != "")
+        picture = all_cards[row["id"]].svg
+        assert bool(picture) == (row["value"] != "")
+        if picture:  # in words, for who does not see it
+            label = picture["aria-label"]
+            assert label.startswith(
+                f"Interval: {interval_text(row['value'], row['low'], row['high'])}"
+            )
+            assert ("; the rule: " in label) == (row["bound"] != "")
+            assert ("; under the other condition " in label) == bool(row["other_n"])
         shown = [item.get_text() for item in all_cards[row["id"]].select(".claim-conditions li")]
         expected = [part for part in row["conditions"].split("; ") if not part.startswith(":")]
         assert [text.partition(" ")[2] for text in shown] == expected

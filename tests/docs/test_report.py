@@ -41,7 +41,8 @@ def executed(tmp_path):
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
     cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
-    nbformat.write(v4.new_notebook(cells=cells), file)
+    metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}})
+    nbformat.write(v4.new_notebook(cells=cells, metadata=metadata), file)
     return file
 
 
@@ -77,10 +78,20 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert published - of_pages == {*drawn, "table_one.csv"}
     page = (source / "figures.md").read_text()
     assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    assert "leave each as PNG and PDF in `figures/`" in page
+    provenance = (source / "provenance.md").read_text()
+    for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
+        assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
+    assert "[03_scenario_a](notebooks/03_scenario_a.ipynb)" in provenance
+    assert all(f"licences/{package}.txt" in provenance for package in report.SHOWN)
+    parameters = (source / "parameters.md").read_text()
+    assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
     # A picture of the paper that has another caption is numbered by its name, others are not.
     assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
     assert pages_in_no_menu(source) == {"index"}
-    cells = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells
+    laid_out = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4)
+    assert "widgets" not in laid_out.metadata  # their state, which needs a kernel
+    cells = laid_out.cells
     assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
     cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
