@@ -656,5 +656,8 @@ def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     made.inputs["r"].value = 20.0
     assert optimised == [2] and not [text for text in said if "compiling" in text]
     monkeypatch.setattr(explorer.early, "is_compiled", lambda *structure: False)
+    sent = []
+    monkeypatch.setattr(made.screen, "send_state", sent.append)
     made.inputs["r"].value = 30.0
     assert "compiling for the first time: the last picture stays" in said
+    assert sent[0] == ["status", "status_kind"]  # before the kernel compiles
