@@ -287,6 +287,11 @@ def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
     text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
     exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
     assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
+    # It is found again, in whichever order the disk lists the headers.
+    made, listed = wasm.module_of(text), Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda folder: reversed([*listed(folder)]))
+    monkeypatch.setattr(compiled, "run_compiler", None)
+    assert wasm.module_of(text) == made
 
 
 @pytest.fixture(scope="module")

@@ -121,6 +121,7 @@ def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be
     assert "[" not in slider.label or unit or slider.kind == "whole" or not isinstance(key, str)
     steps = (slider.high - slider.low) / slider.step
     assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
+    assert f"{slider.step:e}"[0] in "125"
     # Soil that is half firm may vary most.
     values |= dict(process_noise="custom", mu_mean=0.5, kappa_mean=0.5)
     for end, place in ((slider.low, widget.min), (slider.high, widget.max)):
