@@ -62,7 +62,9 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
             assert label.startswith(
                 f"Interval: {interval_text(row['value'], row['low'], row['high'])}"
             )
-            assert ("; the rule: " in label) == (row["bound"] != "")
+            assert ("; the rule: " in label) == (row["bound"] != "") and "nan" not in label
+            is_number = re.fullmatch(r"[-\d.e]+", str(row["paper"]))
+            assert ("; the paper: " in label) == bool(is_number), row["id"]
             assert ("; under the other condition " in label) == bool(row["other_n"])
         shown = [item.get_text() for item in all_cards[row["id"]].select(".claim-conditions li")]
         expected = [part for part in row["conditions"].split("; ") if not part.startswith(":")]

@@ -41,7 +41,8 @@ def executed(tmp_path):
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
     cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
-    metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}})
+    record = dict(start_time="2026-11-28T09:15:00.123", duration=12.345, parameters=dict(seeds=3))
+    metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}}, papermill=record)
     nbformat.write(v4.new_notebook(cells=cells, metadata=metadata), file)
     return file
 
@@ -82,7 +83,8 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     provenance = (source / "provenance.md").read_text()
     for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
         assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
-    assert "[03_scenario_a](notebooks/03_scenario_a.ipynb)" in provenance
+    run = "[03_scenario_a](notebooks/03_scenario_a.ipynb) | 2026-11-28 09:15:00 | 12.3 | seeds = 3"
+    assert f"| {run} |" in provenance
     assert all(f"licences/{package}.txt" in provenance for package in report.SHOWN)
     parameters = (source / "parameters.md").read_text()
     assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
