@@ -188,7 +188,7 @@ def _link_cards(readme):
         return f"| {_coloured(part[1])}"
 
     text = re.sub(rf"\[([^\[\]]*?)(:\s\d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
-    words = "|".join(sorted(answer.VERDICTS, key=len, reverse=True))
+    words = "|".join(answer.VERDICTS)
     text = re.sub(rf"\| ({words})(?=:| \|)", cell, text)
     readme.write_text(text, encoding="utf-8")
 
