@@ -440,6 +440,9 @@ def test_every_picture_is_complete(made, zoom):
     made.zoom.value, made.soil.value = zoom, "mu"
     picture = made.screen.picture
     assert {*" ".join(picture["layout"]).split()} == {*picture["panels"]}
+    # A row is long and narrow, so that its y is stretched, which the title says.
+    is_stretched = "y is stretched" in picture["panels"]["map"]["title"]
+    assert is_stretched == (zoom == "first row") != (picture["panels"]["map"]["scale"] == "equal")
     for panel in picture["panels"].values():
         assert panel["title"] and np.isfinite([*panel["xlim"], *panel["ylim"]]).all()
     for name, marks in drawn(made).items():
