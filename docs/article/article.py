@@ -31,7 +31,7 @@ def tables():
         answer=pd.DataFrame({"": ["Scenario B"], "in short": [answer.in_short(table)]}),
         summary=answer.paper_beside_ours(),
         scenario_b=answer.scenario_b_numbers(table),
-        turns=answer.by_turns(table).iloc[:, :7],
+        turns=answer.by_turns(table).loc[:, :"in fields"],
         weights=_weights(),
         scenario_a=_scenario_a(),
         times=_times(),

@@ -117,7 +117,7 @@ def c_text(functions):
     for function in functions.values():
         lengths |= {name: function.nnz_in(name) for name in function.name_in()}
         lengths |= {name: function.nnz_out(name) for name in function.name_out()}
-    lines = [f"enum {{ {name.upper()} = {lengths[name]} }};" for name in sorted(_LOGGED)]
+    lines = [f"enum {{ {name.upper()} = {lengths[name]} }};" for name in _LOGGED]
     for name, length in lengths.items():
         # The memory has one entry more than the run has samples: the first.
         entries = MAX_SAMPLES + 1 if name in _LOGGED else 1

@@ -46,7 +46,7 @@ REPORT = Path(__file__).resolve().parents[2] / "build/report"
 SEEDS = range(10)
 NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
 TRACTION_STEP = 1 / 65535  # of 16 bits without sign: up to 1
-_FARTHEST_START_M = 3.0
+_FARTHEST_START_M = CONTROLS["start_offset_m"].high
 SOILS = {  # of the project's worlds, and one of the story's that is the same everywhere
     "default": WORLDS["default"],
     "soft": WORLDS["soft"],
@@ -66,6 +66,7 @@ STRUCTURES = {
     "rhe_faulty": dict(faults=_ANY_FAULT),
     "ekf_faulty": dict(estimator="ekf", faults=_ANY_FAULT),
 } | {f"rhe_{n}": dict(estimation_horizon=n) for n in (5, 10, 30)}
+WINDOWS = {Scenario(**own).estimation_horizon for own in STRUCTURES.values()}
 SCENES = tomllib.loads((HERE / "scenes.toml").read_text(encoding="utf-8"))
 STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
 # What scripts need of a step of the story; its template has the rest.
@@ -94,7 +95,7 @@ def write(folder=REPORT):
         shutil.copy(HERE.parents[1] / "rhec/explorer" / name, files)
     world = _world()
     data = dict(world=world) | {f"seed_{seed}": seed_data(seed) for seed in SEEDS}
-    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         # Tracing a loop takes seconds; its compiled module is cached.
         tools = pool.submit(_tools)
         data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
@@ -251,7 +252,7 @@ def _world():
         shaded={name: [(of.start_s, of.end_s) for of in fault] for name, fault in FAULTS.items()},
         seeds=[*SEEDS],
         soils=SOILS,
-        windows=[5, 10, 15, 30],
+        windows=sorted(WINDOWS),
         new_patch=NEW_PATCH,
         groups=_sliders(),
         scenes={name: _scene(scene, defaults) for name, scene in SCENES.items()},

@@ -113,7 +113,7 @@ def _numbers(row):
             )
     if row["paper"] != "":
         number = _as_number(row["paper"])
-        paper = row["paper"] if np.isnan(number) else with_minus(row["paper"])
+        paper = with_minus(row["paper"])
         has_unit = not np.isnan(number) and not unit.startswith("share")
         lines.append(("the paper", f"{paper} {unit}" if has_unit else paper, 0))
     return lines
@@ -175,7 +175,7 @@ def interval(row):
     return dict(
         rows=[(kind, _ROWS[kind], *map(place, found)) for kind, found in findings.items()],
         beyond=beyond,
-        limits=sorted({round(place(bound), 1) for bound in bounds if np.isfinite(bound)}),
+        limits=sorted({place(bound) for bound in bounds if np.isfinite(bound)}),
         paper=None if np.isnan(paper) else place(paper),
         inside=(ends[0], ends[1] - ends[0]),
         ticks=ticks,

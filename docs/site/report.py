@@ -140,7 +140,7 @@ def _lay_out(source, notebooks, figures, live):
     (source / "figures").mkdir()
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     shown = " ".join(page.read_text("utf-8") for page in pages)
-    for picture in sorted({*re.findall(r"figures/\w+\.png", shown)}):
+    for picture in {*re.findall(r"figures/\w+\.png", shown)}:
         shutil.copy(ROOT / picture, source / picture)
     places = {path.name: path.relative_to(ROOT) for path in (ROOT / "notebooks").rglob("*.ipynb")}
     stories = {places[file.name]: nbformat.read(file, as_version=4) for file in notebooks}
@@ -188,7 +188,7 @@ def _link_cards(readme):
         return f"| {_coloured(part[1])}"
 
     text = re.sub(rf"\[([^\[\]]*?)(:\s\d+)\]\({re.escape(answer.LEDGER)}\)", link, text)
-    words = "|".join(sorted(answer.VERDICTS, key=len, reverse=True))
+    words = "|".join(answer.VERDICTS)
     text = re.sub(rf"\| ({words})(?=:| \|)", cell, text)
     readme.write_text(text, encoding="utf-8")
 
@@ -385,7 +385,7 @@ def _run_of(place, notebook):
     return {
         "notebook": f"[{place.stem}]({place})",
         "started (UTC)": record.get("start_time", "")[:19].replace("T", " "),
-        "duration [s]": f"{record.get('duration') or 0:.3g}",
+        "duration [s]": f"{record.get('duration', 0):.3g}",
         "parameters": changed or "as in the notebook",
     }
 

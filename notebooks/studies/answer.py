@@ -219,7 +219,7 @@ def _order_cell(numbers, rule):
 def _never_cell(numbers, never, rule):
     """The share of drives without a violation, and the verdict on "never"."""
     share = _percent(numbers.row("RHE", _CLEAN, rule)["mean"])
-    return f"{never[rule]}: {share}" if rule in never else share
+    return f"{never[rule]}: {share}"
 
 
 def _percent(share):
@@ -229,8 +229,7 @@ def _percent(share):
 def _conditions(claim):
     """{rule: verdict} of a claim in the ledger."""
     verdicts = by_condition(_claims().loc[claim, "conditions"])
-    names = CONDITIONS.items()
-    return {rule: verdicts[name] for rule, name in names if name in verdicts}
+    return {rule: verdicts[name] for rule, name in CONDITIONS.items()}
 
 
 def _worlds():

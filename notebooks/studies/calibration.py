@@ -301,7 +301,7 @@ def readable_noises():
     return pd.DataFrame(rows, columns=columns)
 
 
-def make_table(names, rules, jobs, file_of=file_of):
+def make_table(names, rules, file_of=file_of):
     """Tune these estimators by these of their rules, and write each row as it is found."""
     wanted = [
         (name, rule)
@@ -309,7 +309,7 @@ def make_table(names, rules, jobs, file_of=file_of):
         if rule in ESTIMATORS[name].rules
     ]
     spawn = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
-    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+    with ProcessPoolExecutor(mp_context=spawn) as pool:
         found = {pool.submit(calibrate, *key): key for key in wanted}
         for future in as_completed(found):
             row = future.result()
@@ -325,12 +325,11 @@ def main():
     parser = argparse.ArgumentParser(description="Tune estimators and write tuned.csv.")
     parser.add_argument("estimator", nargs="*", default=[*ESTIMATORS], help="all by default")
     parser.add_argument("--rules", nargs="+", choices=RULES, default=[*RULES])
-    parser.add_argument("--jobs", type=int, default=multiprocessing.cpu_count())
     given = parser.parse_args()
     unknown = {*given.estimator} - {*ESTIMATORS}
     if unknown:
         parser.error(f"estimator was {min(unknown)!r}; it should be one of {tuple(ESTIMATORS)}")
-    make_table(given.estimator, given.rules, given.jobs)
+    make_table(given.estimator, given.rules)
 
 
 if __name__ == "__main__":

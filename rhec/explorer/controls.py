@@ -7,6 +7,7 @@ the range of a slider.
 
 import itertools
 import math
+from decimal import Decimal
 from typing import NamedTuple
 
 from rhec.simulation.faults import Fault
@@ -46,39 +47,47 @@ class Selection(NamedTuple):
     tooltip: str
 
 
-def _field(name):
-    """What Scenario says of its parameter of this name."""
-    if name not in _FIELDS:
-        expected = "rhec/simulation/scenario.py should have it"
-        raise ValueError(
-            f"a control was for {name!r}, which is no parameter of Scenario; {expected}"
-        )
-    return _FIELDS[name]
+def _step(low, high, default):
+    """The largest of 1, 2 and 5 times a power of ten that makes at least 40 steps, and where there
+    is one, that reaches the default value.
+    """
+    low, high, default = (Decimal(str(value)) for value in (low, high, default))
+    longest = (high - low) / 40
+    power = longest.adjusted()
+    ten = [Decimal(digit).scaleb(power - smaller) for smaller in (0, 1) for digit in (5, 2, 1)]
+    steps = [step for step in ten if step <= longest]
+    return float(next((step for step in steps if (default - low) % step == 0), steps[0]))
 
 
-def _slider(field, name, low, high, step, kind="real"):
-    """The Slider of a parameter."""
-    unit = _field(field).unit
-    label = f"{name} [{unit}]" if unit else name
-    return Slider(field, label, low, high, step, _field(field).text, kind)
+def _ranged(key, label, low, high, tooltip, default, kind="real"):
+    """A Slider in round steps."""
+    step = {"whole": 1, "log": 0.05}.get(kind) or _step(low, high, default)
+    return Slider(key, label, low, high, step, tooltip, kind)
 
 
-def _entries(field, symbol, names, low, high, step, kind="real"):
+def _slider(name, label, high, low=None, kind="real"):
+    """The Slider of a parameter, from its least value on; of one without, from -high on."""
+    field = _FIELDS[name]
+    if low is None:
+        low = -high if field.lowest is None else field.lowest
+    unit = f" [{field.unit}]" if field.unit else ""
+    default = getattr(Scenario, name)
+    return _ranged(name, f"{label}{unit}", low, high, field.text, default, kind)
+
+
+def _entries(field, symbol, names, low, high, kind="real"):
     """One Slider for each entry of a parameter."""
-    tooltip = _field(field).text
+    text = _FIELDS[field].text
     return [
-        Slider((field, place), f"{symbol} of {name}", low, high, step, tooltip, kind)
+        _ranged((field, place), f"{symbol} of {name}", low, high, text, low, kind)
         for place, name in enumerate(names)
     ]
 
 
 def _selection(field, name, labels):
     """The Selection of a parameter; labels: the names of its choices."""
-    choices = _field(field).choices
-    if len(labels) != len(choices):
-        expected = f"there should be one for each of {choices}"
-        raise ValueError(f"the labels of the control {field!r} were {labels}; {expected}")
-    return Selection(field, name, tuple(zip(labels, choices)), _field(field).text)
+    options = zip(labels, _FIELDS[field].choices, strict=True)
+    return Selection(field, name, tuple(options), _FIELDS[field].text)
 
 
 def _fault(duration_s, **settings):
@@ -107,57 +116,53 @@ _FAULTS = (
     ("gyro dead for 20 s", _fault(20.0, kind="dead", channel="gyro")),
     ("gyro stuck for 20 s", _fault(20.0, kind="stuck", channel="gyro")),
 )
-_SENSORS = (
-    ("none", ()),
-    *((f"a {name}", (name,)) for name in SENSORS),
-    *(
-        (" and ".join(several), several)
-        for n in range(2, len(SENSORS) + 1)
-        for several in itertools.combinations(SENSORS, n)
-    ),
+_SENSORS = tuple(
+    (" and ".join(several) or "none", several)
+    for n in range(len(SENSORS) + 1)
+    for several in itertools.combinations(SENSORS, n)
 )
 _CONTROLS = (
-    _slider("estimation_horizon", "window [intervals]", 2, 40, 1, "whole"),
+    _slider("estimation_horizon", "window [intervals]", 40, kind="whole"),
     _selection("speed_model", "speed ν", _SPEEDS),
     _selection("yaw_drift", "yaw drift", _NOT_OR_ESTIMATED),
     _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
-    *_entries("sigma_w", "σ_W", _STATES, -4, 1.5, 0.05, "log"),
-    *_entries("sigma_v", "σ_V", _MEASURED, -3, 0, 0.05, "log"),
-    *_entries("q", "Q", ("x", "y", "θ"), 0, 20, 0.5),
-    _slider("r", "R", -1, 3, 0.05, "log"),
-    _slider("qn_factor", "Q_N / Q", 0, 50, 0.5),
-    _slider("prediction_horizon", "horizon [intervals]", 2, 40, 1, "whole"),
-    _slider("look_ahead_m", "look-ahead", 0, 3, 0.05),
-    _slider("omega_max_radps", "ω_max", 0.02, 0.5, 0.01),
+    *_entries("sigma_w", "σ_W", _STATES, -4, 1, "log"),
+    *_entries("sigma_v", "σ_V", _MEASURED, -4, 0, "log"),
+    *_entries("q", "Q", ("x", "y", "θ"), 0, 20),
+    _slider("r", "R", 3, -1, "log"),
+    _slider("qn_factor", "Q_N / Q", 50),
+    _slider("prediction_horizon", "horizon [intervals]", 40, kind="whole"),
+    _slider("look_ahead_m", "look-ahead", 3),
+    _slider("omega_max_radps", "ω_max", 0.5, 0.02),
     _selection("input_reference", "ω_r", ("measured, held", "curvature")),
     _selection("command_delay", "command", ("at once", "a sample later")),
-    _slider("speed_mps", "speed", 0.1, 1.4, 0.02),
-    _slider("duration_s", "duration", 20, 600, 10),
-    _slider("start_offset_m", "start beside", -3, 3, 0.1),
-    _slider("start_yaw_rad", "start turned", -1.5, 1.5, 0.05),
-    _slider("guess_yaw_rad", "yaw guess off", -1.5, 1.5, 0.05),
+    _slider("speed_mps", "speed", 1.4, 0.1),
+    _slider("duration_s", "duration", 600, 20),
+    _slider("start_offset_m", "start beside", 3),
+    _slider("start_yaw_rad", "start turned", 2),
+    _slider("guess_yaw_rad", "yaw guess off", 2),
     _selection("backwards", "backwards", _NO_YES),
     _selection("turns", "turns", _TURNS),
-    _slider("row_length_m", "row length", 10, 100, 1),
-    _slider("headland_radius_m", "turn radius", 3, 20, 0.2),
-    _slider("mu_mean", "μ mean", 0.3, 0.99, 0.01),
-    _slider("mu_deviation", "μ deviation", 0, 0.3, 0.01),
-    _slider("kappa_mean", "κ mean", 0.3, 0.99, 0.01),
-    _slider("kappa_deviation", "κ deviation", 0, 0.3, 0.01),
-    _slider("correlation_length_m", "correlation", 0.5, 20, 0.5),
+    _slider("row_length_m", "row length", 100, 10),
+    _slider("headland_radius_m", "turn radius", 20, 3),
+    _slider("mu_mean", "μ mean", 0.99, 0.3),
+    _slider("mu_deviation", "μ deviation", 0.3),
+    _slider("kappa_mean", "κ mean", 0.99, 0.3),
+    _slider("kappa_deviation", "κ deviation", 0.3),
+    _slider("correlation_length_m", "correlation", 20),
     _selection("soil_under", "soil below", _SOIL_UNDER),
-    _slider("slip_difference", "left slips more", -0.1, 0.1, 0.002),
-    _slider("bump_sigma_radps", "bumps", 0, 0.2, 0.005),
-    _slider("rut_length_m", "ruts over", 0, 3, 0.1),
-    _slider("rotation_centre_m", "turns ahead by", -0.5, 0.5, 0.02),
-    _slider("gnss_sigma_m", "GNSS noise", 0, 0.2, 0.005),
-    _slider("gnss_slow_share", "slow share", 0, 1, 0.05),
-    _slider("gnss_slow_time_s", "slow over", 5, 1800, 5),
-    _slider("encoder_sigma_mps", "encoder noise", 0, 0.2, 0.0025),
-    _slider("speed_sigma_mps", "speed noise", 0, 0.2, 0.005),
-    Selection("sensors", "besides (RHE)", _SENSORS, _field("sensors").text),
+    _slider("slip_difference", "left slips more", 0.1, -0.1),
+    _slider("bump_sigma_radps", "bumps", 0.2),
+    _slider("rut_length_m", "ruts over", 3),
+    _slider("rotation_centre_m", "turns ahead by", 0.5),
+    _slider("gnss_sigma_m", "GNSS noise", 0.2),
+    _slider("gnss_slow_share", "slow share", 1),
+    _slider("gnss_slow_time_s", "slow over", 2000, 10),
+    _slider("encoder_sigma_mps", "encoder noise", 0.2),
+    _slider("speed_sigma_mps", "speed noise", 0.2),
+    Selection("sensors", "besides (RHE)", _SENSORS, _FIELDS["sensors"].text),
     *(_slider(*setting) for sensor in SENSORS.values() for setting in sensor.settings.values()),
-    Selection("faults", "fault", _FAULTS, _field("faults").text),
+    Selection("faults", "fault", _FAULTS, _FIELDS["faults"].text),
 )
 CONTROLS = {control.key: control for control in _CONTROLS}
 # {title of a tab: its controls}, in the groups of `Scenario.describe`
@@ -166,15 +171,15 @@ for _control in _CONTROLS:
     _name = _control.key[0] if isinstance(_control.key, tuple) else _control.key
     GROUPS.setdefault(_FIELDS[_name].group.removeprefix("the ").capitalize(), []).append(_control)
 
-# Sliders for the entries of one of Scenario's `patches`, and the values of a new patch.
+# The values of a new one of Scenario's `patches`, and sliders for its entries.
+NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 PATCH = (
-    Slider(0, "along x [m]", -12, 45, 0.5, "The first row runs along x from 0."),
-    Slider(1, "across y [m]", -24, 54, 0.5, "The first row is at y = 0."),
-    Slider(2, "radius [m]", 0.5, 8, 0.25, "Radius of the patch."),
+    Slider(0, "along x [m]", -20, 50, 0.5, "The first row runs along x from 0."),
+    Slider(1, "across y [m]", -30, 60, 0.5, "The first row is at y = 0."),
+    Slider(2, "radius [m]", 0.5, 8, 0.1, "Radius of the patch."),
     Slider(3, "μ inside", 0.1, 1, 0.01, "Traction of the patch."),
     Slider(4, "κ inside", 0.1, 1, 0.01, "Traction of the patch."),
 )
-NEW_PATCH = (15.0, 0.0, 2.5, 0.7, 0.55)
 
 
 def values_of(scenario):

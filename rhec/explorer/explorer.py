@@ -151,15 +151,15 @@ class Explorer(widgets.VBox):
         self.inputs = {key: _input(one, values[key]) for key, one in controls.CONTROLS.items()}
         patch = self.patches[-1] if self.patches else controls.NEW_PATCH
         self.patch = [_input(slider, value) for slider, value in zip(controls.PATCH, patch)]
-        self.estimator = _list(estimators, self.start.estimator, "run", 142)
-        self.against = _list([("nothing", None), *estimators], against, "against", 160)
+        self.estimator = _list(estimators, self.start.estimator, "run", "142px")
+        self.against = _list([("nothing", None), *estimators], against, "against", "160px")
         tooltip = "noise W and V of the estimators, by a rule; the tab Estimator sets custom ones"
         noise = values["process_noise"]
-        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", 158, tooltip)
+        self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", "158px", tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
         self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
-        self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", 142)
-        self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", 66)
+        self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", "142px")
+        self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", "66px")
         self.weights = {
             _button(name, "the paper’s weights"): q
             for name, q in (("Q¹", paper.Q1), ("Q²", paper.Q2), ("Q³", paper.Q3))
@@ -430,7 +430,8 @@ def _input(control, value):
     else:
         readout = f".{max(1, _decimals(control.step), _decimals(value))}f"
     # A front end rounds to whole steps from the lowest value, so the initial value must be one.
-    low = round(place - control.step * math.ceil((place - control.low) / control.step - 1e-9), 12)
+    steps = math.floor((place - control.low) / control.step + 1e-9)
+    low = round(place - control.step * steps, 12)
     return kind(
         value,
         min=min(low, place),
@@ -454,8 +455,8 @@ def _look(label, tooltip, width, label_width="initial"):
     return {"description": label, "tooltip": tooltip, "layout": layout, "style": style}
 
 
-def _list(options, value, label, width_px, tooltip=""):
-    look = _look(label, tooltip, f"{width_px}px")
+def _list(options, value, label, width, tooltip=""):
+    look = _look(label, tooltip, width)
     # A list that is told the value None shows nothing, though an option has it.
     place = [option for _, option in options].index(value)
     return widgets.Dropdown(options=options, index=place, **look)

@@ -79,70 +79,52 @@ def level(xlim, y, **look):
 # Limits in coarse steps, which do not change with small changes of the data
 
 
-def round_up_to(value, steps=(0.15, 0.3, 0.6, 1.2, 3, 6, 12, 30, 60, 120, 300)):
-    """The smallest step not below the value; the largest step for larger values and NaN."""
-    return next((step for step in steps if value <= step), steps[-1])
+def round_up_to(value):
+    """The smallest 0.15 · 2ⁿ, n = 0 to 11, not below the value; the largest for NaN and beyond."""
+    doublings = np.ceil(np.log2(max(value, 0.15) / 0.15)) if value < 300 else 11
+    return 0.15 * 2.0**doublings
 
 
-def _finite(columns, *names):
-    """All finite values of these columns of several runs."""
+def _most(columns, *names):
+    """The ends of what these columns of several runs have, but for the start and what is rare."""
     values = np.concatenate([run[name] for run in columns for name in names])
-    return values[np.isfinite(values)]
+    values = values[np.isfinite(values) & (values > 0)]
+    return np.quantile(values, [0.01, 0.95]) if len(values) else (1.0, 1.0)
 
 
-def _error_limits(columns):
-    """Limits for nearly all true errors; the error of an offset start may be cut off."""
-    values = _finite(columns, "error_true_m")
-    return 0.0, round_up_to(1.3 * np.quantile(values, 0.95) if len(values) else np.inf)
-
-
-def _traction_limits(columns, name):
-    """Limits for μ or κ: a round number below nearly all values, and 1."""
-    values = _finite(columns, name, f"{name}_hat")
-    low = np.quantile(values, 0.01) if len(values) else 0.0
-    return next((floor for floor in (0.8, 0.6, 0.4, 0.2) if low > floor), 0.0) - 0.01, 1.02
-
-
-def _kkt_limits(columns):
-    """Powers of ten around nearly all of both tolerances."""
-    values = _finite(columns, "kkt_rhe", "kkt_rhc")
-    values = np.log10(values[values > 0])
-    low, high = np.quantile(values, [0.02, 0.995]) if len(values) else (-9, 0)
-    return 10.0 ** max(np.floor(low), -12), 10.0 ** np.ceil(high)
+def _limits(columns, bound):
+    """{panel: limits} for nearly all values, in coarse steps."""
+    limits = dict(error=(0.0, round_up_to(_most(columns, "error_true_m")[1])))
+    for name in ("mu", "kappa"):
+        low, _ = _most(columns, name, f"{name}_hat")
+        limits[name] = next((each for each in (0.8, 0.6, 0.4, 0.2) if low > each), 0.0), 1.02
+    limits["yaw_rate"] = -1.25 * bound, 1.25 * bound
+    low, high = np.floor(np.log10(_most(columns, "kkt_rhe", "kkt_rhc")))
+    limits["kkt"] = 10.0**low, 10.0 ** (high + 1)
+    return limits
 
 
 def _worst_place(run):
     """The position (x, y) [m] of the largest true error after settling."""
     c = run.columns
-    settled_s = run.metrics["settling_time_s"]
-    error = np.where(c["t_s"] >= (0 if np.isnan(settled_s) else settled_s), c["error_true_m"], -1.0)
-    k = np.argmax(np.nan_to_num(error, nan=-1.0))
+    is_before = c["t_s"] < run.metrics["settling_time_s"]
+    k = np.argmax(np.where(is_before, 0, np.nan_to_num(c["error_true_m"])))
     return c["x_m"][k : k + 1], c["y_m"][k : k + 1]
 
 
 def _map_limits(run, zoom):
     """((x, x_end), (y, y_end), scale) of a zoom."""
     path = run.path
-    if zoom == "worst place":
-        centre = np.round(np.concatenate(_worst_place(run)))
-        low = centre - 2.5
-        high = centre + 2.5
-        scale = "equal"
-    elif zoom == "first row":
+    points = np.reshape(path.box, (2, 2)).T
+    margin_m = 1.1 * round_up_to(abs(run.scenario.start_offset_m))
+    if zoom == "first row":
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
-        ends = path.poses([0.0, end - 1e-6])[0][:, :2]
-        beside = round_up_to(abs(run.scenario.start_offset_m), (0.3, 0.6, 1.2, 3, 6, 12)) * 1.1
-        low = ends.min(axis=0) - (1, beside)
-        high = ends.max(axis=0) + (1, beside)
-        scale = ""
-    else:
-        margin_m = 2.0 + abs(run.scenario.start_offset_m)
-        low = np.array(path.box[::2]) - margin_m
-        high = np.array(path.box[1::2]) + margin_m
-        scale = "equal"
-    low = np.array(low, dtype=float).tolist()
-    high = np.array(high, dtype=float).tolist()
-    return *zip(low, high), scale
+        points = path.poses([0.0, end])[0][:, :2]
+    elif zoom == "worst place":
+        points = np.round(np.transpose(_worst_place(run)))
+        margin_m = 2.5
+    ends = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
+    return *np.transpose(ends).tolist(), "" if zoom == "first row" else "equal"
 
 
 def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
@@ -157,9 +139,7 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     columns = [run.columns for run in (*runs, *pinned)]
     time = 0.0, float(max(run["t_s"][-1] + paper.DT_S for run in columns))
     bound = first.scenario.omega_max_radps
-    limits = {name: _traction_limits(columns, name) for name in ("mu", "kappa")}
-    limits |= dict(error=_error_limits(columns), kkt=_kkt_limits(columns))
-    limits |= dict(yaw_rate=(-1.25 * bound, 1.25 * bound))
+    limits = _limits(columns, bound)
     marks = {panel: _curves(first, ylim) for panel, ylim in limits.items()}
     marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **FAINT_TOLERANCE))
     marks["yaw_rate"] += [level(time, at, **DASHED) for at in (-bound, bound)]
@@ -199,7 +179,7 @@ def _ground(run, soil):
     every = -(-max(field.shape) // _MOST_POINTS)
     grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
     length_m = run.path.length_m
-    poses, _ = run.path.poses(np.linspace(0, length_m, 2 + int(length_m / 0.25)))
+    poses, _ = run.path.poses(np.append(np.arange(0, length_m, 0.25), length_m))
     return [
         Mark("soil", *(at[::every] for at in grid), traction=field[::every, ::every]),
         Mark("area", *tolerance_band(poses).T, **FAINT_TOLERANCE | dict(alpha=0.5)),
@@ -213,10 +193,8 @@ def _series(kind, run, place):
         drawn = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
         if kind and look != "bold":
             continue
-        if kind:
-            drawn |= dict(dash=(2.5, 1.5), alpha=0.6)
-        if look == "truth" and place > 0:
-            drawn |= dict(dash=(0.8, 1.2), alpha=0.7)
+        if kind or (look == "truth" and place):
+            drawn |= dict(dash=DASHED["dash"], alpha=0.6)
         label = kind + name_of(run.scenario)
         if look == "truth":
             note = f"of {label}" if place else ""

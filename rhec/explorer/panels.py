@@ -83,8 +83,8 @@ def figure_of(picture):
         ax.set_xlim(panel.xlim, auto=True)  # an equal scale widens one of both limits
         ax.set_ylim(panel.ylim, auto=True)
         ax.set_aspect("equal" if panel.scale == "equal" else "auto", adjustable="datalim")
-        ax.set_title(panel.title, pad=3)
-        ax.set_xlabel(panel.across, loc="right", labelpad=0)
+        ax.set_title(panel.title)
+        ax.set_xlabel(panel.across, loc="right")
     handles = [_line(mark, [], [], label=mark.label) for mark in picture.legend]
     figure.legend(handles=handles, loc="outside upper right", ncols=len(handles))
     return figure
@@ -120,7 +120,7 @@ def _line(mark, x, y, **more):
     if mark.dash:  # Matplotlib counts dashes in line widths
         look |= dict(linestyle=(0, tuple(length / mark.width for length in mark.dash)))
     if mark.kind == "dots":
-        look |= dict(linestyle="none", marker="o", markersize=mark.width, markeredgewidth=0.6)
+        look |= dict(linestyle="none", marker="o", markersize=mark.width)
         look |= {} if mark.full else dict(markerfacecolor="none")
     return Line2D(x, y, **look, **more)
 

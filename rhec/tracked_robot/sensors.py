@@ -54,9 +54,8 @@ class Setting(NamedTuple):
 
     parameter: str
     label: str
-    low: float
     high: float
-    step: float
+    low: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,9 +241,9 @@ GYRO = Sensor(
     noise=(Noise(unit="rad/s", default=0.02), Noise(unit="-", default=0.05, label=", share of ω")),
     measure=measured_yaw_rate,
     settings=dict(
-        sigma=Setting("gyro_sigma_radps", "gyro noise", 0, 0.2, 0.005),
-        bias=Setting("gyro_bias_radps", "gyro bias", -0.15, 0.15, 0.005),
-        scale=Setting("gyro_scale", "gyro scale", 0.85, 1.2, 0.01),
+        sigma=Setting("gyro_sigma_radps", "gyro noise", 0.2),
+        bias=Setting("gyro_bias_radps", "gyro bias", 0.2),
+        scale=Setting("gyro_scale", "gyro scale", 1.2, 0.8),
     ),
     remembers=dict(last_yaw=lambda pose: pose[2]),
     stream=5,
@@ -263,7 +262,7 @@ HEADING = Sensor(
     sigma="sigma_heading",
     noise=(Noise("rad", 0.03),),
     measure=measured_yaw,
-    settings=dict(sigma=Setting("heading_sigma_rad", "heading noise", 0, 0.2, 0.005)),
+    settings=dict(sigma=Setting("heading_sigma_rad", "heading noise", 0.2)),
     stream=6,
     column="heading_meas_rad",
     recorded_column="heading_rad",

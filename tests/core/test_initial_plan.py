@@ -34,6 +34,16 @@ def solved_from(mpc, x, u_plan):
     return mpc.u_plan
 
 
+def test_a_soft_bound_that_is_not_reached_costs_nothing():
+    """By IPOPT, which the RHC is compared with."""
+    near = np.array([0.1, 0.05, 0.0, 0.0])
+    free = PlanProblem(OPTIONS).solve(near, GOAL)
+    soft = OPTIONS["bounds"] | {"p_m": rhec.Bound(-9.0, 9.0, linear=1.0)}
+    bounded = PlanProblem(OPTIONS | dict(bounds=soft)).solve(near, GOAL)
+    assert free.solved and bounded.solved and not bounded.active
+    assert bounded.cost == pytest.approx(free.cost, rel=1e-6)
+
+
 @pytest.mark.nightly
 def test_swing_ups_from_the_same_plan_as_ipopt(virtual_machine):
     """From far away it ends no higher; and where IPOPT ended it stays, though others are cheaper.

@@ -3,9 +3,11 @@
 import re
 import shutil
 
+import pandas as pd
 import pytest
 
 from docs.article import article
+from notebooks.further import faults
 
 SOURCE = (article.ROOT / "docs/article/article.typ").read_text(encoding="utf-8")
 PROSE = SOURCE[SOURCE.index("#align(center)") :]
@@ -29,6 +31,17 @@ def test_every_number_exists():
         assert tables[name].loc[row, column], (name, row, column)
     for name in re.findall(r'#result\("(\w+)"', SOURCE):
         assert len(tables[name]) > 1
+
+
+def test_cases_of_faults_are_counted_as_the_notebook_counts_them():
+    table = article.tables()["faults"].set_index("estimator")
+    cases = pd.read_csv(article.ROOT / "data/results/table_faults.csv")
+    counts = faults.verdict_counts(cases)
+    for name, row in table.iterrows():
+        wanted = counts.loc[name, ["holds", "cases"]].astype(str)
+        assert [row["within the aim"], row["cases"]] == [*wanted]
+        of = cases[cases["estimator"] == name]
+        assert int(row["recovered"]) == (of["back"] / of["n"]).eq(1).sum()
 
 
 def test_every_picture_is_saved_by_a_notebook():

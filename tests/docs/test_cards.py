@@ -17,6 +17,12 @@ CLAIMS_CSV = pd.read_csv(ROOT / "data/results/claims.csv")
 ROWS = CLAIMS_CSV.astype(object).where(CLAIMS_CSV.notna(), "").to_dict("records")
 ROUND = {"1.000", "2.000", "5.000"}
 DRAWN = [row for row in ROWS if row["value"] != ""]
+# Ratios that are all but alike, of the same order, and of several ones.
+RATIO = next(row for row in DRAWN if row["unit"] == "ratio") | dict(paper="", other_n=0)
+RATIOS = [
+    RATIO | dict(id=f"ratio {high}", value=1.02, low=1.01, high=high, above=0.99, below=np.inf)
+    for high in (1.04, 1.9, 7.0, 25.0, 40.0, 3000.0)
+]
 
 
 def number_of(text):
@@ -49,7 +55,17 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         if row["n"]:
             said += [interval_text(row["value"], row["low"], row["high"]), f"n = {row['n']}"]
         assert [part for part in said if " ".join(part.split()) not in text] == []
-        assert bool(all_cards[row["id"]].svg) == (row["value"] != "")
+        picture = all_cards[row["id"]].svg
+        assert bool(picture) == (row["value"] != "")
+        if picture:  # in words, for who does not see it
+            label = picture["aria-label"]
+            assert label.startswith(
+                f"Interval: {interval_text(row['value'], row['low'], row['high'])}"
+            )
+            assert ("; the rule: " in label) == (row["bound"] != "") and "nan" not in label
+            is_number = re.fullmatch(r"[-\d.e]+", str(row["paper"]))
+            assert ("; the paper: " in label) == bool(is_number), row["id"]
+            assert ("; under the other condition " in label) == bool(row["other_n"])
         shown = [item.get_text() for item in all_cards[row["id"]].select(".claim-conditions li")]
         expected = [part for part in row["conditions"].split("; ") if not part.startswith(":")]
         assert [text.partition(" ")[2] for text in shown] == expected
@@ -87,7 +103,7 @@ def test_a_card_links_the_live_page_only_where_there_is_one(page):
 
 
 def test_the_order_on_the_scale_is_that_of_the_numbers():
-    for row in DRAWN:
+    for row in (*DRAWN, *RATIOS):
         drawn = cards.interval(row)
         numbers = dict(zip(("value", "low", "high"), drawn["rows"][0][2:]))
         pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]
@@ -110,10 +126,33 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
             assert next_at - at > 6 * (len(text) + len(next_text)) / 2, row["id"]
 
 
+def test_a_picture_is_filled_with_a_little_room_on_both_sides():
+    """That of shares goes from 0 to 1, 14 px from the edges."""
+    for row in (*DRAWN, *RATIOS):
+        drawn = cards.interval(row)
+        places = [at for _, _, *found in drawn["rows"] for at in found]
+        if row["unit"].startswith("share"):
+            assert places[0] == pytest.approx(14 + 332 * row["value"], abs=0.1), row["id"]
+            continue
+        places += [*drawn["limits"], *filter(None, [drawn["paper"]])]
+        places = [at for at in places if 14 < at < 346]
+        assert min(places) + max(places) == pytest.approx(360, abs=0.2), row["id"]
+        assert 26 < min(places) < 42, row["id"]
+        assert len(drawn["ticks"]) < 10
+
+
 def test_a_lost_rival_far_away_leaves_the_others_apart():
     """Our number and the paper's are as far apart as on a card without that rival."""
     row = next(row for row in DRAWN if row["id"] == "B5")
     alone = cards.interval(row | dict(other_n=0, other_value=""))
+    value, reach = float(row["value"]), np.ptp([0.0, float(row["value"]), float(row["paper"])])
+    for times, is_beyond in ((3, False), (5, True)):
+        other = dict(other_n=9, other_value=value + times * reach, other_low="", other_high="")
+        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
+    reach = np.ptp([0.0, row["value"], row["low"], float(row["paper"])])
+    for times, is_beyond in ((3, False), (5, True)):
+        other = dict(other_n=9, other_value=times * reach, other_low="", other_high="")
+        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
     for far, half in ((-1e3, None), (1e3, None), (-1e3, 100.0), (1e3, 100.0)):
         side = np.sign(far)
         low, high = ("", "") if half is None else (far - half, far + half)

@@ -49,7 +49,8 @@ def test_a_table_of_other_parameters_is_another_world_and_not_for_publication(
 ):
     file = tmp_path / "results/table_faults.csv"
     file.parent.mkdir()
-    TABLE.to_csv(file, index=False)
+    for name in ("a_table_not_made", "table_faults", "table_that_is_right"):
+        TABLE.to_csv(file.with_stem(name), index=False)
     monkeypatch.setattr(check_figures, "ROOT", tmp_path)
     monkeypatch.setattr(check_figures, "RESULTS", file.parent)
     other = TABLE.assign(mean=0.5)
@@ -59,9 +60,12 @@ def test_a_table_of_other_parameters_is_another_world_and_not_for_publication(
             monkeypatch.setattr(style, "FOLDER", tmp_path / "figures")
             monkeypatch.setenv("RHEC_FIGURES", str(tmp_path / "figures"))
             style.save_table(other, "table_faults", "Faults")
+            TABLE.to_csv(tmp_path / "figures/table_that_is_right.csv", index=False)
             assert check_figures.main() == 1
             said = capsys.readouterr().out
             assert ("cp figures/table_faults.csv" in said) == (not changed)
+            assert "a_table_not_made: not made yet\n" in said
+            assert "table_that_is_right: the same\n" in said
             assert ("table_faults: another world (world = soft)" in said) == bool(changed)
     finally:
         style.set_changed("", {})

@@ -4,14 +4,17 @@ import base64
 import ctypes
 import gzip
 import itertools
+import json
 import re
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
+from bs4 import BeautifulSoup
 
 import rhec
 from docs.live import functions, page, wasm, window
@@ -20,7 +23,7 @@ from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, MEASUREMENTS
-from rhec.tracked_robot import plant
+from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.terrain import common_shape
 
 START = dict(start_offset_m=-0.8, start_yaw_rad=0.5, guess_yaw_rad=0.1, speed_mps=0.6)
@@ -157,6 +160,11 @@ def test_the_line_that_is_drawn_is_the_path_in_equal_steps(turns):
     assert len(line) * field["path_step_m"] == pytest.approx(path.length_m)
 
 
+def test_the_page_has_as_many_seeds_as_it_says():
+    text = (page.HERE / "live.html.j2").read_text(encoding="utf-8")
+    assert "of the ten seeds" in text and [*page.SEEDS] == [*range(10)]
+
+
 def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
     world = page._world()
     assert {module for scene in world["scenes"].values() for _, module, _ in scene["runs"]} <= {
@@ -170,6 +178,88 @@ def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
             value = np.atleast_1d(values[slider["field"]])[slider["place"] or 0]
             place = np.log10(value) if slider["kind"] == "log" else value
             assert slider["low"] <= place <= slider["high"], slider
+
+
+def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
+    """Beside the page are the scripts and styles that it loads."""
+    monkeypatch.setattr(page, "ProcessPoolExecutor", lambda mp_context: ThreadPoolExecutor())
+    monkeypatch.setattr(page, "_module", lambda own: dict(of=sorted(own)))
+    monkeypatch.setattr(page, "_tools", lambda: dict(order=["shift"]))
+    monkeypatch.setattr(page, "SEEDS", range(1))
+    (tmp_path / "live").mkdir()
+    (tmp_path / "live/old.js").touch()
+    page.write(tmp_path)
+    arrived = {}
+    for file in (tmp_path / "live").glob("*.js"):
+        if data := re.fullmatch(r"live\.arrived\('(\w+)', (.*)\)\n", file.read_text("utf-8")):
+            arrived[file.stem] = json.loads(data[2])
+            assert data[1] == file.stem
+    world = arrived.pop("world")
+    assert (
+        len(world["seeds"]) == 1 and world["windows"] == [5, 10, 15, 30] and world["cell_m"] == 0.5
+    )
+    assert arrived.pop("seed_0") == page.seed_data(0)
+    assert arrived.pop("tools") == dict(order=["shift"])
+    assert arrived == {name: dict(of=sorted(own)) for name, own in page.STRUCTURES.items()}
+    html = BeautifulSoup((tmp_path / "live.html").read_text("utf-8"), "html.parser")
+    loaded = [
+        each.get("src") or each["href"] for each in html.select("script, link[rel=stylesheet]")
+    ]
+    assert loaded and all((tmp_path / file).exists() for file in loaded)
+    assert not (tmp_path / "live/old.js").exists()
+
+
+@pytest.mark.parametrize("name", ["rhe_5", "ekf_faulty"])
+def test_a_module_comes_with_what_its_loop_needs(name, monkeypatch):
+    monkeypatch.setattr(wasm, "module_of", str.encode)
+    own = page.STRUCTURES[name]
+    made = page._module(own)
+    scenario = rhec.Scenario(**own)
+    setup = closed_loop.set_up(scenario)
+    memory = np.array(made["memory"], dtype=float)
+    for field, direction in made["directions"].items():
+        memory = memory + getattr(scenario, field) * np.array(direction)
+    np.testing.assert_allclose(memory, setup.memory, atol=1e-12)
+    pieces = setup.unpack(setup.memory)
+    np.testing.assert_array_equal(setup.memory[made["places"]["plan"]], pieces["controller"]["s"].T)
+    for of in set(made["places"]) - {"plan"}:
+        np.testing.assert_array_equal(
+            setup.memory[made["places"][of]], pieces["estimator"][of].T, of
+        )
+    assert len(made["places"]) == (1 if "ekf" in name else 4)
+    for of, values in made["settings"].items():
+        assert values == [*np.ravel(setup.settings[of], order="F").astype(float)]
+    built = page.functions_of(scenario)
+    others = {"memory", "noise", "segments", "period_m", "origin_m", "cell_m", "slip"}
+    assert {*built["sample"].name_in()} - {*made["settings"]} <= others | {"mean_traction"}
+    assert made["faulty"] == ("faulty" in name) and {*made["noises"]} == {*page.RULES}
+    assert made["line"] == {key: of for key, of in own.items() if key != "faults"}
+    assert b"int run(" in unpack(made["wasm"], np.uint8).tobytes()
+    json.dumps(made, allow_nan=False)
+
+
+def test_the_scenes_are_those_of_their_words():
+    """Weights by their names, the sensor that fails when it is said, and what has no slider."""
+    world = page._world()
+    scenes = world["scenes"]
+    assert [own for _, _, own in scenes["a"]["runs"]] == [
+        dict(q=paper.Q1), dict(q=paper.Q2), dict(q=paper.Q3)
+    ]  # fmt: skip
+    for name, scene in scenes.items():
+        (times,) = [*world["shaded"][scene["fault"]]]
+        said = re.findall(r"fails at (\d+) s", scene["about"])
+        assert [float(number) for number in said] == [times[0]] * len(said), name
+        assert scene["values"]["duration_s"] == scene["duration_s"] > scene["time_s"]
+        rhe = tuning.NOISES["rhe"][tuning.DEFAULT_RULE]
+        assert scene["values"]["sigma_w"] == rhe.sigma_w
+        assert scene["values"]["sigma_v"] == rhe.sigma_v
+        kept = {*scene["values"]} - {"sigma_w", "sigma_v", "duration_s"}
+        assert all(scene["values"][key] == getattr(rhec.Scenario(), key) for key in kept)
+    faulty = {n for n, of in page.STRUCTURES.items() if of.get("faults")}
+    assert {module for _, module, _ in scenes["faults"]["runs"]} <= faulty
+    assert not any(rhec.Scenario(faults=of).sensors for of in page.FAULTS.values())
+    assert world["noise"]["n"] == plant.draw_noise(0, 1).size
+    assert world["robot_m"] == (paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M)
 
 
 def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys, tmp_path):
@@ -197,6 +287,11 @@ def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
     text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
     exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
     assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
+    # It is found again, in whichever order the disk lists the headers.
+    made, listed = wasm.module_of(text), Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda folder: reversed([*listed(folder)]))
+    monkeypatch.setattr(compiled, "run_compiler", None)
+    assert wasm.module_of(text) == made
 
 
 @pytest.fixture(scope="module")
@@ -240,6 +335,19 @@ def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):
         if np.all((free[4:] > 0) & (free[4:] < 1)):
             np.testing.assert_allclose(free, estimate, atol=1e-12)
     assert 0 < beyond < len(z)
+
+
+def test_the_storys_other_filters_begin_at_the_loops_guess(taken_apart):
+    """The Kalman filter with the RHE's first covariance."""
+    tools, setup, *_ = taken_apart
+    guess = np.arange(1.0, 7.0)
+    found = window.first_memories(rhec.Scenario(), guess)
+    for name, memory in found.items():
+        assert len(memory) == tools[name].size1_in("memory")
+        assert np.isin(guess, memory).all()
+    P = found["kalman"][6:42].reshape(6, 6)
+    assert [*found["kalman"][:6]] == [*guess]
+    np.testing.assert_allclose(P, setup.unpack(setup.memory)["estimator"]["P"])
 
 
 def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):

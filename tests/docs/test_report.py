@@ -41,7 +41,9 @@ def executed(tmp_path):
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
     cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
-    nbformat.write(v4.new_notebook(cells=cells), file)
+    record = dict(start_time="2026-11-28T09:15:00.123", duration=12.345, parameters=dict(seeds=3))
+    metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}}, papermill=record)
+    nbformat.write(v4.new_notebook(cells=cells, metadata=metadata), file)
     return file
 
 
@@ -77,10 +79,21 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert published - of_pages == {*drawn, "table_one.csv"}
     page = (source / "figures.md").read_text()
     assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    assert "leave each as PNG and PDF in `figures/`" in page
+    provenance = (source / "provenance.md").read_text()
+    for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
+        assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
+    run = "[03_scenario_a](notebooks/03_scenario_a.ipynb) | 2026-11-28 09:15:00 | 12.3 | seeds = 3"
+    assert f"| {run} |" in provenance
+    assert all(f"licences/{package}.txt" in provenance for package in report.SHOWN)
+    parameters = (source / "parameters.md").read_text()
+    assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
     # A picture of the paper that has another caption is numbered by its name, others are not.
     assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
     assert pages_in_no_menu(source) == {"index"}
-    cells = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4).cells
+    laid_out = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4)
+    assert "widgets" not in laid_out.metadata  # their state, which needs a kernel
+    cells = laid_out.cells
     assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
     cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
@@ -118,6 +131,42 @@ def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
     assert not list(tmp_path.glob("unfinished-*"))
 
 
+def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monkeypatch, capsys):
+    """Its pictures are smaller ones, its pages have their policy, and it says what it does."""
+    old = tmp_path / "below/report"
+    made = []
+
+    class Builder:
+        def __init__(self, source, configuration, site, doctrees, kind, status, tags):
+            made.append((source.name, configuration, kind, tags))
+            self.site = site
+
+        def build(self):
+            assert not old.exists() or (old / "old.html").exists()
+            (self.site / "_images").mkdir(parents=True)
+            Image.new("RGB", (4, 4)).save(self.site / "_images/one.png")
+            (self.site / "one.html").write_text('<head></head><img src="_images/one.png">')
+            (self.site / "theme.css.map").touch()
+
+    monkeypatch.setattr(report, "Sphinx", Builder)
+    monkeypatch.setattr(report, "_lay_out", lambda *given: made.append(given[1:]))
+    monkeypatch.setattr(report.page, "write", lambda site: (site / "live.html").touch())
+    for live in (False, True):
+        report.build(["notebook"], figures, old, live=live)
+        said = capsys.readouterr().out
+        assert f"report: {1 + live} pages, 0.0 MB, in 0 s" in said
+        assert said.count("\n") == 4 + live and ("WebAssembly" in said) == live
+        files = {file.relative_to(old).as_posix() for file in old.rglob("*") if file.is_file()}
+        assert files == {"one.html", "_images/one.webp"} | ({"live.html"} if live else set())
+        page = (old / "one.html").read_text()
+        assert "_images/one.webp" in page and "Content-Security-Policy" in page
+        laid_out, built = made[-2:]
+        assert laid_out == (["notebook"], figures, live)
+        assert built == ("source", ROOT / "docs", "html", ["live"] * live)
+        (old / "old.html").touch()
+    assert not list(old.parent.glob("unfinished-*"))
+
+
 def test_the_reference_has_all_public_names():
     text = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"(?m)^   (\w+)$", text))
@@ -130,6 +179,8 @@ def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsew
     site = tmp_path / "site"
     Sphinx(tmp_path, ROOT / "docs", site, tmp_path / "doctrees", "html", status=None).build()
     built = (site / "index.html").read_text()
+    assert not list(site.glob("_sources/index*")) and not (site / "genindex.html").exists()
+    assert "_sources" not in built
     injected = "document.title = 'RAN'"
     page = with_policy(built.replace("</body>", f"<script>{injected}</script></body>"))
     assert page.index("Content-Security-Policy") < page.index("<title>")

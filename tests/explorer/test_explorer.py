@@ -13,11 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import ipywidgets
 import numpy as np
 import pandas as pd
 import pytest
+from bs4 import BeautifulSoup
 
 import rhec
+from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.explorer import controls, explorer, field_run
@@ -79,7 +82,10 @@ STARTS = [
 
 @pytest.mark.parametrize("start", STARTS)
 def test_untouched_controls_give_the_start_scenario(start):
-    assert controls.scenario_of(controls.values_of(start), start.estimator, start) == start
+    values = controls.values_of(start)
+    assert controls.scenario_of(values, start.estimator, start) == start
+    is_own = start.sigma_w or start.sigma_v or start.process_noise == "soft_soil"
+    assert values["process_noise"] == ("custom" if is_own else start.process_noise or "prediction")
 
 
 # Parameters for which the explorer has other means, and those that it leaves to Python: objects;
@@ -99,15 +105,53 @@ def test_each_parameter_of_a_scenario_has_a_control_or_a_reason():
     )
 
 
-def test_each_slider_has_its_first_value_between_its_ends():
-    """Of a logarithmic one the ends are powers of ten."""
-    values = controls.values_of(SHORT)
-    sliders = [each for each in controls.CONTROLS.values() if isinstance(each, controls.Slider)]
-    for slider in sliders:
-        assert slider.low < slider.high and 0 < slider.step < slider.high - slider.low, slider.key
-        value = values[slider.key]
-        place = np.log10(value) if slider.kind == "log" else value
-        assert slider.low <= place <= slider.high, slider.key
+SLIDERS = {k: each for k, each in controls.CONTROLS.items() if isinstance(each, controls.Slider)}
+SLIDERS |= {each.key: each for each in controls.PATCH}
+
+
+@pytest.mark.parametrize("key", SLIDERS)
+def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be(key):
+    """What it shows at first is one of them; of a logarithmic one the ends are powers of ten."""
+    slider, values = SLIDERS[key], controls.values_of(SHORT)
+    values |= dict(enumerate(controls.NEW_PATCH))
+    widget = explorer._input(slider, values[key])
+    assert slider.low <= widget.min < slider.low + slider.step and widget.max == slider.high
+    unit = isinstance(key, str) and rhec.Scenario.describe().loc[key, "unit"]
+    assert slider.label.endswith(f" [{unit}]" if unit else slider.label[-1])
+    assert "[" not in slider.label or unit or slider.kind == "whole" or not isinstance(key, str)
+    steps = (slider.high - slider.low) / slider.step
+    assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
+    assert f"{slider.step:e}"[0] in "125"
+    # Soil that is half firm may vary most.
+    values |= dict(process_noise="custom", mu_mean=0.5, kappa_mean=0.5)
+    for end, place in ((slider.low, widget.min), (slider.high, widget.max)):
+        is_near_a_limit = key in ("speed_mps", "mu_mean", "kappa_mean", "gyro_scale")
+        assert is_near_a_limit or float(f"{end:.1g}") == end
+        value = 10.0**place if slider.kind == "log" else place
+        new = values | {key: value}
+        patch = tuple(new.pop(place) for place in range(5))
+        controls.scenario_of(new | dict(patches=(patch,)), "rhe", SHORT)
+
+
+def test_what_may_be_chosen_is_what_its_name_says():
+    """Faults have the numbers of their names; a new patch lies on the first row and slips."""
+    for name, faults in controls.CONTROLS["faults"].options[1:]:
+        (fault,) = faults
+        numbers = {float(number) for number in re.findall(r"[\d.]+", name)}
+        sizes = {fault.size_m, fault.delay_s, fault.duration_s} - {None}
+        assert numbers == {size for size in sizes if size < 1e6}, name
+        row_s = SHORT.row_length_m / SHORT.speed_mps
+        assert fault.kind == "latency" or row_s / 2 < fault.start_s < row_s, name
+        assert fault.channel in (*name.split(), "gnss"), name
+    assert dict(controls.CONTROLS["sensors"].options) == {
+        "none": (),
+        "gyro": ("gyro",),
+        "heading": ("heading",),
+        "gyro and heading": ("gyro", "heading"),
+    }
+    path = rhec.Path.rows(SHORT.row_length_m, SHORT.headland_radius_m, SHORT.turns)
+    assert path.project([controls.NEW_PATCH[:2]])[0] == pytest.approx(0)
+    assert controls.NEW_PATCH[3] < SHORT.mu_mean and controls.NEW_PATCH[4] < SHORT.kappa_mean
 
 
 def test_own_process_noise_has_the_size_each_estimator_takes():
@@ -126,7 +170,8 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         assert controls.scenario_of(given, "rhe", SHORT).sigma_w == sigma_w
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*pose, 0.5)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    assert len(controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w) == 7
+    *_, of_drift = controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w
+    assert of_drift == tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w[6]
 
 
 def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it():
@@ -188,6 +233,17 @@ def test_a_changed_control_is_a_new_run_and_a_new_picture(made):
     assert f"RHE: mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in error
 
 
+def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):
+    own = RIVALS["traction_oracle"]
+    made = rhec.Explorer(SHORT, against=own, folder=tmp_path)
+    for several, none in ((made.estimator, 0), (made.against, 1)):
+        assert [label for label, _ in several.options][-1] == own.label
+        assert len(several.options) == len(controls.ESTIMATORS) + 1 + none
+    assert [run.scenario.estimator for run in made.runs] == ["rhe", own]
+    # What is there already is there once.
+    assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(controls.ESTIMATORS)
+
+
 def test_the_papers_weights_are_one_run(made, monkeypatch):
     drawn = []
     monkeypatch.setattr(made, "_draw", lambda: drawn.append(made.runs[0].scenario.q))
@@ -228,7 +284,31 @@ def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
 
 def test_limits_go_in_coarse_steps_up_to_the_largest():
     assert field_run.round_up_to(0.3) == 0.3 and field_run.round_up_to(0.31) == 0.6
-    assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 300
+    assert field_run.round_up_to(1e9) == field_run.round_up_to(np.nan) == 0.15 * 2**11
+
+
+def test_the_table_has_each_metric_under_its_heading(made):
+    """With as many digits as tell two drives apart: 0.1 mm, 0.1 s, a thousandth of a share."""
+    of_unit = {"[m]": 1e-3, "[rad]": 1e-4, "[s]": 0.1, "[-]": 1e-3, "GNSS": 1, "true": 1}
+    table = BeautifulSoup(made.screen.table, "html.parser")
+    headings = [" ".join(each.text.split()) for each in table.select("th")][1:]
+    for row, run in zip(table.select("tr")[1:], made.runs, strict=True):
+        name, *cells = (cell.text for cell in row.select("td"))
+        assert name.split()[-1] == field_run.name_of(run.scenario)
+        assert field_run.colour_of(run.scenario) in str(row)
+        for cell, heading, (metric, *_) in zip(cells, headings, explorer.METRICS, strict=True):
+            step = 1e-4 if heading.startswith("mean") else of_unit[heading.split()[-1]]
+            value = run.metrics[metric]
+            assert len(cell) == len(f"{value:.9f}") - 9 + max(0, round(-np.log10(step))) - (
+                step == 1
+            )
+            assert abs(float(cell) - value) <= 0.51 * step, heading
+
+
+def test_less_is_better_and_what_is_not_known_is_neither():
+    assert explorer.change(-0.0123, 3) == '<span class="better">−0.012</span>'
+    assert explorer.change(2.0, 0) == '<span class="worse">+2</span>'
+    assert explorer.change(-1e-9, 3) == "0" and explorer.change(float("nan"), 3) == "–"
 
 
 def test_pinned_runs_stay(made):
@@ -262,13 +342,73 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
                 wanted = run.columns[x].astype(np.float32), values.astype(np.float32)
                 found = [each[1:] for each in panels[panel]]
                 assert any(np.array_equal(each, wanted, equal_nan=True) for each in found), panel
-    # The figure that is saved has the same lines and dots.
+    # On one field both truths are nearly the same: that of the second run says whose it is.
+    truths = [mark for mark, *_ in panels["mu"] if mark["label"] == "truth"]
+    assert [(mark["note"], bool(mark["dash"])) for mark in truths] == [
+        ("of EKF", True),
+        ("", False),
+    ]
+    labels = {mark["label"] for mark, *_ in panels["map"]} - {"", "path, and bounds"}
+    assert labels == {"RHE", "EKF", "pinned RHE", "pinned EKF"}
+    # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
     figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
-    saved = {axes.get_title("left"): axes.get_lines() for axes in figure.axes}
+    saved = {axes.get_title("left"): axes for axes in figure.axes}
     for name, panel in made.screen.picture["panels"].items():
-        shown = [(x, y) for mark, x, y in panels[name] if mark["kind"] in ("line", "dots")]
-        for line, (x, y) in zip(saved[panel["title"]], shown, strict=True):
-            np.testing.assert_array_equal(np.float32(line.get_data()), [x, y], panel["title"])
+        axes = saved[panel["title"]]
+        assert axes.get_yscale() == ("log" if name == "kkt" else "linear")
+        ends = (*axes.get_xlim(), *axes.get_ylim())
+        assert ends == pytest.approx((*panel["xlim"], *panel["ylim"])) or name == "map"
+        shown = [each for each in panels[name] if each[0]["kind"] in ("line", "dots")]
+        for line, (mark, *x_y) in zip(axes.get_lines(), shown, strict=True):
+            np.testing.assert_array_equal(np.float32(line.get_data()), x_y, panel["title"])
+            assert line.get_alpha() == mark["alpha"]
+            assert 4 / 3 * line.get_linewidth() == pytest.approx(mark["width"])
+            assert bool(mark["dash"]) == line.is_dashed() and sum(mark["dash"]) == pytest.approx(
+                sum(line._unscaled_dash_pattern[1] or ()) * mark["width"]
+            )
+    names = [text.get_text() for text in figure.legends[0].texts]
+    assert names == [mark["label"] for mark in made.screen.picture["legend"]]
+    (image,) = saved[made.screen.picture["panels"]["map"]["title"]].images
+    shades = image.norm(image.get_array())
+    kappa = made.runs[0].terrain.kappa
+    # White where nothing slips, and the darkest brown where κ is about 0.17.
+    np.testing.assert_allclose(shades, np.sqrt(1 - kappa.T) / 0.91)
+    (left, right, bottom, top), n = image.get_extent(), np.array(kappa.shape)
+    cell_m = np.array([right - left, top - bottom]) / n
+    first = np.array([left, bottom]) + cell_m / 2
+    np.testing.assert_allclose(first, made.runs[0].terrain.origin_m)
+    np.testing.assert_allclose(cell_m, made.runs[0].terrain.cell_m)
+
+
+def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_machine):
+    """And shades the time spent in curves."""
+    run = rhec.simulate(replace(SHORT, duration_s=120.0))
+    _, *panels = field_run.picture_of([run]).panels.items()
+    areas, dashed = {}, {}
+    for name, panel in panels:
+        y = np.concatenate([mark.y for mark in panel.marks if mark.label])
+        inside = y[(panel.ylim[0] <= y) & (y <= panel.ylim[1])]
+        assert len(inside) > (0.98 if name == "kkt" else 0.9) * len(y), name
+        scale = np.log10 if panel.scale == "log" else np.asarray
+        assert np.ptp(scale(inside)) > 0.2 * np.ptp(scale(panel.ylim)), name
+        assert panel.xlim == pytest.approx((0, 120))
+        areas[name] = [mark for mark in panel.marks if mark.kind == "area"]
+        dashed[name] = [mark.y[0] for mark in panel.marks if mark.dash]
+        curves_s = sum(np.ptp(mark.x) for mark in areas[name] if np.ptp(mark.x) < 120)
+        assert curves_s == pytest.approx(paper.DT_S * (~run.columns["on_straight"]).sum())
+    bound, limit = paper.OMEGA_MAX_RADPS, dict(panels)["yaw_rate"].ylim[1]
+    assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
+    *_, tolerance = areas["error"]
+    assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)
+
+
+def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
+    kappa = np.random.default_rng(0).uniform(0.2, 1, (700, 40))
+    terrain = rhec.Terrain(mu=kappa, kappa=kappa, origin_m=(-10.0, 3.0), cell_m=0.5)
+    (soil, *_) = field_run.picture_of([replace(made.runs[0], terrain=terrain)]).panels["map"].marks
+    assert 200 < len(soil.x) <= 300
+    i, j = ((at - first) / 0.5 for at, first in zip((soil.x, soil.y), terrain.origin_m))
+    np.testing.assert_array_equal(soil.traction, kappa[np.ix_(i.astype(int), j.astype(int))])
 
 
 def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
@@ -300,6 +440,9 @@ def test_every_picture_is_complete(made, zoom):
     made.zoom.value, made.soil.value = zoom, "mu"
     picture = made.screen.picture
     assert {*" ".join(picture["layout"]).split()} == {*picture["panels"]}
+    # A row is long and narrow, so that its y is stretched, which the title says.
+    is_stretched = "y is stretched" in picture["panels"]["map"]["title"]
+    assert is_stretched == (zoom == "first row") != (picture["panels"]["map"]["scale"] == "equal")
     for panel in picture["panels"].values():
         assert panel["title"] and np.isfinite([*panel["xlim"], *panel["ylim"]]).all()
     for name, marks in drawn(made).items():
@@ -495,6 +638,22 @@ def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
 # Compiling, drawing
 
 
+def test_every_widget_is_on_the_screen(made):
+    def below(widget):
+        return {
+            widget,
+            *(each for child in getattr(widget, "children", ()) for each in below(child)),
+        }
+
+    on_screen = below(made)
+    own = [*made.inputs.values(), *made.patch, *made.weights]
+    own += [each for each in vars(made).values() if isinstance(each, ipywidgets.DOMWidget)]
+    assert {*own} <= on_screen and len(own) > 70
+    assert "rhec" in made._dom_classes  # the styles are those of this class
+    sent = {"status", "status_kind", "line", "table", "picture", "numbers"}
+    assert sent <= {*made.screen.get_state()}
+
+
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     optimised = []
     monkeypatch.setattr(
@@ -507,5 +666,8 @@ def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
     made.inputs["r"].value = 20.0
     assert optimised == [2] and not [text for text in said if "compiling" in text]
     monkeypatch.setattr(explorer.early, "is_compiled", lambda *structure: False)
+    sent = []
+    monkeypatch.setattr(made.screen, "send_state", sent.append)
     made.inputs["r"].value = 30.0
     assert "compiling for the first time: the last picture stays" in said
+    assert sent[0] == ["status", "status_kind"]  # before the kernel compiles

@@ -180,3 +180,24 @@ def test_the_verdict_is_that_of_the_whole_interval(nees, state, verdict):
     (row,) = consistency.verdicts(tables(nees, state)).itertuples()
     assert row.verdict == verdict
     assert (row.nees, row.low, row.high) == nees
+
+
+def test_the_table_has_each_test_and_each_state_of_each_estimator():
+    """Settled samples count alone; the state in place k is k + 1 times as far off as it says."""
+    t_s = np.arange(0.0, 60.0, 0.2)
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal((30, len(t_s), 4)) * np.arange(1, 5)
+    errors[:, t_s < 20] = 99.0
+    squares = errors**2
+    made = consistency.Consistency(
+        t_s, errors, squares.sum(axis=2), squares[..., 0], squares[..., 1]
+    )
+    table = consistency.consistency_table(dict(one=made, other=made)).set_index("estimator")
+    assert len(table) == 2 * 7 and (table["n"] == 30).all()
+    mean = table.loc["one"].set_index("quantity")["mean"]
+    assert [*mean.index[:3]] == ["NEES, mean", "NIS, position, mean", "NIS, speed, mean"]
+    assert [*mean[:3]] == pytest.approx([(1 + 4 + 9 + 16) / 4, 1 / 2, 4], rel=0.05)
+    states = ("x", "y", "θ", "ν")
+    assert [*mean.index[3:]] == [f"RMS error over sigma, {state}" for state in states]
+    assert [*mean[3:]] == pytest.approx([1, 2, 3, 4], rel=0.05)
+    assert (table["low"] < table["mean"]).all() and (table["mean"] < table["high"]).all()

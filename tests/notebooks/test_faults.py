@@ -1,10 +1,12 @@
 """The cases of faults, and how a run with a fault is judged."""
 
+import dataclasses
 import re
 
 import numpy as np
 import pytest
 
+import rhec
 from notebooks.further import faults
 
 T_S = 0.2 * np.arange(400)
@@ -29,6 +31,27 @@ def test_a_response_counts_errors_while_the_fault_lasts_and_those_after_it():
     assert np.isnan(faults.response(late, 20.0, 30.0)["recovery_s"])
 
 
+def test_a_course_tells_where_it_is_wet_and_whether_all_is_within_bounds():
+    patch = (5.0, 0.0, 2.0, 0.9, 0.3)
+    run = rhec.simulate(rhec.Scenario(duration_s=20.0, patches=(patch,)))
+    c = run.columns
+    found = faults.course_of(run)
+    assert found.in_bounds and found.error_m is c["error_true_m"]
+    is_wet = np.hypot(c["x_m"] - 5.0, c["y_m"]) < 2.0
+    assert is_wet.any() and np.array_equal(found.is_wet, is_wet)
+    for name, value in (
+        ("omega_cmd_radps", 0.11),
+        ("omega_cmd_radps", -0.11),
+        ("mu_hat", 1.1),
+        ("kappa_hat", -0.1),
+        ("x_hat_m", np.inf),
+        ("theta_hat_rad", np.nan),
+        ("nu_hat_mps", np.nan),
+    ):
+        spoilt = c | {name: np.append(c[name][:-1], value)}
+        assert not faults.course_of(dataclasses.replace(run, columns=spoilt)).in_bounds, name
+
+
 def test_a_fault_lasts_as_its_case_says():
     assert faults.interval_s(course(), dict(fault=dict(duration_s=5.0)), 20.0) == (20.0, 25.0)
     assert faults.interval_s(course(), dict(patch=dict(radius_m=3.0)), 20.0) == pytest.approx(
@@ -47,3 +70,67 @@ def test_a_wrong_start_is_as_wrong_as_its_name_says():
                 assert case == {field: pytest.approx(float(number[1]) * unit)}
                 said += 1
     assert said == len(faults.CASES["start"]) - 1  # the reversed path has no number
+
+
+@pytest.mark.parametrize(
+    "family, name", [(family, name) for family, cases in faults.CASES.items() for name in cases]
+)
+def test_a_case_is_what_its_name_says_and_drives_on_after_it(family, name):
+    """A fault from 50 s on; wet soil begins where the robot is then."""
+    case = faults.CASES[family][name]
+    said = {float(number) for number in re.findall(r"[\d.]+", f"{faults.FAMILIES[family]} {name}")}
+    of = case.get("fault") or case.get("patch") or {}
+    numbers = {value for value in of.values() if isinstance(value, float)}
+    assert said - {90, 180, 5} <= numbers
+    driven = faults.scenario(case, 50.0, rhec.Scenario())
+    if case.get("fault"):
+        (fault,) = driven.faults
+        assert fault.start_s == 50 and driven.duration_s == pytest.approx(fault.end_s + 60)
+    elif "patch" in case:
+        ((x, y, radius, mu, kappa),) = driven.patches
+        path = rhec.simulate(driven).path
+        run = rhec.simulate(dataclasses.replace(driven, patches=()))
+        before = run.columns["t_s"].searchsorted(50.0) - 1
+        (distance,), (s,) = path.project([[x, y]])
+        assert distance == pytest.approx(0, abs=1e-9)
+        assert s == pytest.approx(run.columns["s_m"][before] + radius, abs=0.1)
+        assert (mu, kappa) == (0.9, 0.3) and driven.duration_s > 50 + 60
+    else:
+        assert not driven.faults and driven.duration_s > 100
+
+
+def test_the_table_counts_seeds_that_recovered_in_time(monkeypatch):
+    """Of three seeds one is back at once, one after 30 s and one never; the EKF is always back."""
+
+    def look_up(of_course, scenarios):
+        assert of_course is faults.course_of
+        for number, driven in enumerate(scenarios):
+            end_s = driven.faults[0].end_s if driven.faults else 0.0
+            back_s = {("rhe", 1): 30.0, ("rhe", 2): np.inf}.get((driven.estimator, driven.seed), 0)
+            t = np.arange(0.2, 300, 0.2)
+            error = np.where(t < end_s + back_s, 0.5, 0.01)
+            yield faults.Course(t, error, np.zeros(len(t), bool), driven.seed != 1)
+
+    monkeypatch.setattr(faults, "map_runs", look_up)
+    cases = dict(outage=faults.CASES["outage"], start=dict(off=dict(start_offset_m=5.0)))
+    estimators = {"RHE": {}, "EKF": {"estimator": "ekf"}}
+    runs = faults.study(rhec.Scenario(), range(3), estimators, cases)
+    assert len(runs) == 3 * 3 * 2
+    begins = runs[runs["family"] == "outage"].groupby("seed")["begin_s"].unique().str[0]
+    assert np.diff(begins) == pytest.approx(30) and begins[0] == 40
+    assert (runs[runs["family"] == "start"]["begin_s"] == 0).all()
+    table = faults.fault_table(runs).set_index(["family", "case", "estimator"])
+    for (family, _, estimator), row in table.iterrows():
+        assert row["n"] == 3 and row["in_bounds"] == 2
+        # A wrong start may take a minute, anything else 20 s.
+        is_start = family == "start"
+        assert row["aim_s"] == (60 if is_start else 20)
+        assert row["back"] == (2 if estimator == "RHE" else 3)
+        assert row["recovery_s_largest"] == pytest.approx(30 if estimator == "RHE" else 0, abs=0.21)
+        assert (row["verdict"] == "holds") == (estimator == "EKF")
+        assert row["max_after_m_largest"] in (0.5, 0.01) and row["max_during_m"] <= 0.5
+    shown = faults.readable_fault_table(table.reset_index())
+    assert list(shown["recovered, RHE"]) == ["2 of 3"] * 3
+    assert shown.index[0] == "GNSS outage: 10 s" and shown.filter(like="[s]").shape[1] == 2
+    counts = faults.verdict_counts(table.reset_index())
+    assert counts.loc["EKF", ["holds", "cases", "runs", "in_bounds"]].tolist() == [3, 3, 9, 6]

@@ -184,6 +184,32 @@ def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
     assert "here: a test" in words(drawn["phases"]) and "152 µs" in words(drawn["phases"])
 
 
+def test_phases_have_their_order_and_their_times(drawn):
+    """Feedback follows the measurement, and preparation fills the time before the next one."""
+    cycle, axes = drawn["phases"].axes
+    phases_of = [sorted((bar.get_x(), bar.get_width(), bar.get_y() > 0) for bar in cycle.patches)]
+    for k, of_period in enumerate((phases_of[0][:4], phases_of[0][4:])):
+        begins = [begin for begin, *_ in of_period]
+        ends = [begin + width for begin, width, _ in of_period]
+        assert begins[0] == k and ends[3] == k + 1 and ends[0] == begins[1] and ends[2] == begins[3]
+        assert [is_controller for *_, is_controller in of_period] == [False, True] * 2
+    rows = {label.get_text(): label.get_position()[1] for label in axes.get_yticklabels()}
+    ours, papers = np.array_split(list(axes.lines), 2)
+    of_paper = {which: 1000 * np.array(times) for which, times in paper.TABLE_1_MS.items()}
+    of_here = {row[:2]: row[2:] for row in TIMES.itertuples(index=False, name=None)}
+    for lines, times, side in ((ours, of_here, -1), (papers, of_paper, 1)):
+        for span, marker in zip(lines[0:8:2], lines[1:8:2]):
+            row = marker.get_ydata()[0]
+            (name,) = (name for name, at in rows.items() if 0 < side * (row - at) < 0.3)
+            least, average, most = times[tuple(name.split())]
+            assert [*span.get_xdata()] == pytest.approx([least, most])
+            assert marker.get_xdata()[0] == pytest.approx(average) and span.get_ydata()[0] == row
+        total = sum(times[problem, "feedback"][1] for problem in ("RHE", "RHC"))
+        assert lines[8].get_xdata()[0] == pytest.approx(total)
+        assert 0 < side * (lines[8].get_ydata()[0] - rows["measurement to command"]) < 0.3
+    assert axes.get_xscale() == "log" and axes.yaxis_inverted()
+
+
 def test_the_distance_beside_the_path_is_the_error_with_its_side(drawn, runs):
     """A robot to the left of the path is beside it by a positive distance, as at the start."""
     plane, *panels, _ = drawn["trajectories"].axes
@@ -220,20 +246,138 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     assert len(beside.patches) == 3
 
 
+def test_curves_of_many_drives_are_their_quantiles_and_shares(drawn, drives):
+    """A second at a time, in curves that are shaded."""
+    for many, share, by_name in zip(
+        *np.reshape(drawn["errors_of_many"].axes, (2, 2)), drives.values()
+    ):
+        *curves, tolerance = many.lines
+        assert [*tolerance.get_ydata()] == [paper.TOLERANCE_M] * 2
+        for line in (*curves, *share.lines):
+            np.testing.assert_allclose(
+                line.get_xdata(), np.arange(len(line.get_xdata())), atol=1e-9
+            )
+        for k, name in enumerate(("EKF", "RHE")):
+            _, median, p95 = over_fields(by_name[name], "error_m", 5)
+            beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, 5)
+            for line, expected in zip(
+                (*curves[2 * k :][:2], share.lines[k]), (median, p95, 100 * beyond)
+            ):
+                np.testing.assert_array_equal(line.get_ydata(), expected)
+                assert line.get_color() == style.COLOURS[name]
+        assert len(many.collections) == len(share.collections) == 1 and many.get_yscale() == "log"
+
+
+def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(drives):
+    runs = drives["prediction"]["RHE"]
+    log = runs[0].log
+    rows = np.reshape(scenarios.estimates({"a title": runs}).axes, (3, 2))
+    curve_s = log["t_s"][~log["on_straight"]]
+    for (time, beside), (value, sigma, truth, inside), unit in zip(
+        rows, stated(runs[0]).values(), ("θ", "μ", "κ")
+    ):
+        band = time.collections[0].get_paths()[0].vertices
+        assert band[:, 1].max() == pytest.approx((value + 2 * sigma).max())
+        assert band[:, 1].min() == pytest.approx((value - 2 * sigma).min())
+        estimate, true = time.lines
+        np.testing.assert_array_equal(estimate.get_ydata(), value)
+        np.testing.assert_array_equal(true.get_ydata(), truth)
+        assert f": {100 * inside:.0f} % within ± 2 σ" in time.get_title("left")
+        for stairs in beside.patches:
+            shares, edges, _ = stairs.get_data()
+            assert shares.sum() == pytest.approx(100)
+            assert time.get_ylim()[0] <= edges[0] < edges[-1] <= time.get_ylim()[1]
+        settled = np.concatenate([run.columns["t_s"] > 20 for run in runs])
+        if unit != "θ":
+            both = dict(μ=("mu_hat", "mu"), κ=("kappa_hat", "kappa"))[unit]
+            at_bound = np.mean((value < 1e-6) | (value > 1 - 1e-6))
+            assert f", {100 * at_bound:.0f} % at a bound" in time.get_title("left")
+            for stairs, name in zip(beside.patches, both, strict=True):
+                values = np.concatenate([run.columns[name] for run in runs])[settled]
+                shares, edges, _ = stairs.get_data()
+                top = (values >= edges[-2]).mean()
+                assert shares[-1] == pytest.approx(100 * top)
+    assert rows[0, 0].get_xlim() == (0, log["t_s"].max())
+    # The excerpt has the end of the first curve, or of the drive, in its middle.
+    assert np.mean(rows[2, 0].get_xlim()) == pytest.approx(curve_s.max(), abs=0.3)
+    assert np.ptp(rows[2, 0].get_xlim()) == pytest.approx(30)
+
+
+def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
+    runs = drives["prediction"]["RHE"]
+    for axes, name in zip(drawn["kkt"].axes, ("RHE", "RHC")):
+        low, middle, high = over_fields(runs, f"kkt_{name.lower()}")
+        (line,) = axes.lines
+        np.testing.assert_allclose(line.get_ydata(), np.maximum(middle, 5e-6))
+        np.testing.assert_allclose(line.get_xdata(), 0.2 * np.arange(1, len(middle) + 1))
+        band = axes.collections[0].get_paths()[0].vertices[:, 1]
+        assert (band.min(), band.max()) == pytest.approx((max(low.min(), 5e-6), high.max()))
+        assert axes.get_xscale() == axes.get_yscale() == "log" and axes.get_ylim()[0] == 1e-5
+        largest_s = line.get_xdata()[middle.argmax()]
+        assert f"{name}: largest median {middle.max():.2g}, at {largest_s:.1f} s" == axes.get_title(
+            "left"
+        )
+    time, beside = drawn["speed"].axes
+    for line, stairs, column in zip(
+        time.lines, beside.patches, ("nu_meas_mps", "nu_mps", "nu_hat_mps")
+    ):
+        np.testing.assert_array_equal(line.get_ydata(), runs[0].log[column])
+        shares, edges, _ = stairs.get_data()
+        assert shares.max() == 1 and (edges[0], edges[-1]) == pytest.approx(
+            (time.lines[0].get_ydata().min(), time.lines[0].get_ydata().max())
+        )
+        values = np.concatenate([run.columns[column][run.columns["t_s"] > 20] for run in runs])
+        assert edges[shares.argmax()] - 0.02 < np.median(values) < edges[shares.argmax()] + 0.02
+    assert [*time.lines[3].get_ydata()] == [paper.SPEED_MPS] * 2
+
+
 def test_replays_of_a_log_are_drawn_as_they_were():
     log = recorded_log(5.0, 30.0, noise_m=0.02, seed=1)
     given = dict(process_noise="prediction", sigma_v=paper.SIGMA_V, trust_log=True)
     replays = {name: scores.perturbed_replay(log, seed, **given) for seed, name in enumerate("ab")}
     yaw = recorded_logs_plots.replay_yaw(replays)
     traction = recorded_logs_plots.replay_traction(replays, "a")
-    for axes, samples in zip(yaw.axes, replays.values()):
-        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], scores.yaw_error(samples))
-    for axes, name in zip(traction.axes, ("mu_hat", "kappa_hat")):
-        for line, samples in zip(axes.lines, replays.values()):
-            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[name])
+    for axes, (name, samples) in zip(yaw.axes, replays.items()):
+        error = scores.yaw_error(samples)
+        np.testing.assert_array_equal(axes.lines[0].get_ydata()[:-1], error)
+        found = scores.score(samples)
+        assert axes.get_title("left") == (
+            f"{name}: RMS {found['yaw_rms_rad']:.3f} rad after 8 m, "
+            f"{100 * found['inside_95']:.0f}% within 1.96 σ"
+        )
+        most = 2 * samples["sigma_theta_rad"].max()
+        assert ends_of(axes.collections[0]) == pytest.approx((-most, most))
+        assert axes.get_ylim()[1] == -axes.get_ylim()[0] >= np.abs(error).max()
+    first = replays["a"]
+    sliding, whole = scores.sliding_regression(first), scores.regression(first)
+    for place, (axes, name) in enumerate(zip(traction.axes, ("mu", "kappa"))):
+        *estimates, dots, dashed = axes.lines
+        for line, samples in zip(estimates, replays.values(), strict=True):
+            np.testing.assert_array_equal(line.get_ydata()[:-1], samples[f"{name}_hat"])
+        np.testing.assert_array_equal(dots.get_ydata(), sliding[:, place])
+        assert dashed.get_ydata() == [whole[place]] * 2
+        hat, sigma = first[f"{name}_hat"], first[f"sigma_{name}"]
+        ends = np.clip([(hat - 2 * sigma).min(), (hat + 2 * sigma).max()], 0, 1)
+        assert ends_of(axes.collections[0]) == pytest.approx(tuple(ends))
+        late = hat[scores.distance_driven(first) >= scores.FROM_M]
+        low, high = axes.get_ylim()
+        shown = min(late.min(), np.nanmin(sliding[:, place]))
+        assert max(shown - 0.25, -0.03) < low < shown and 1 < high < 1.1
     for figure in (yaw, traction):
         assert figure.axes[-1].get_xlim() == (samples["t_s"].min(), samples["t_s"].max())
+        # It is shaded where the robot goes straight, and turns in the rest.
+        is_straight = samples["omega_meas_radps"].abs().rolling(11, center=True, min_periods=1)
+        is_straight = is_straight.median() < 0.05
+        shades = figure.axes[-1].collections[-1].get_paths()
+        shaded_s = sum(np.ptp(path.vertices[:, 0]) for path in shades)
+        assert shaded_s == pytest.approx(0.2 * is_straight.sum(), rel=0.2)
         assert text_defects(figure) == []
+
+
+def ends_of(band):
+    """The lowest and the highest value of a filled band."""
+    values = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
+    return np.nanmin(values), np.nanmax(values)
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):

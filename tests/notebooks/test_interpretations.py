@@ -149,6 +149,43 @@ def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine,
         np.testing.assert_allclose(line.get_ydata(), error_rad, atol=1e-12)
 
 
+def test_a_swept_value_is_drawn_with_its_means_and_the_two_that_the_rules_pick():
+    """Oracle: mean and Student's interval of three seeds."""
+    rng = np.random.default_rng(0)
+    columns = ("rms_yaw_rad", "rms_kappa_straights", "rms_kappa_curves")
+    sweep = pd.DataFrame([dict(sigma=sigma, seed=n) for sigma in (0.01, 0.25) for n in range(3)])
+    sweep = sweep.assign(**{name: rng.lognormal(size=6) for name in columns})
+    run = rhec.simulate(rhec.Scenario(duration_s=100.0))
+    given = dict(runs={0.25: run, 0.01: run}, printed=0.25, prediction=0.01)
+    analysis = interpretations.ekf_on_a_straight([0.01, 0.1, 1.0])
+    gains, yaw, _ = plots.ekf_yaw(analysis, sweep, **given).axes
+    sigmas = pd.DataFrame(dict(sigma_kappa=[0.01, 0.25], straight=[2.0, 3.0], curve=[0.1, 0.2]))
+    stated, simulated, time = plots.rhe_kappa(sigmas, sweep, **given).axes
+    curves = [
+        (gains, analysis[["gain_position", "gain_yaw_radpm"]], ()),
+        (yaw, analysis[["sigma_yaw_rad"]], ("rms_yaw_rad",)),
+        (stated, sigmas[["straight", "curve"]], ()),
+        (simulated, None, ("rms_kappa_straights", "rms_kappa_curves")),
+    ]
+    for axes, table, means in curves:
+        assert axes.get_xscale() == "log"
+        upright = [line for line in axes.lines if [*line.get_ydata()] == [0, 1]]
+        assert [line.get_xdata()[0] for line in upright] == [0.25, 0.01]
+        assert [line.get_label() for line in upright] == ["printed", "prediction"]
+        for line, name in zip(axes.lines, () if table is None else table):
+            np.testing.assert_array_equal(line.get_ydata(), table[name])
+        for bars, name in zip(axes.containers, means, strict=True):
+            of = sweep.groupby("sigma")[name]
+            np.testing.assert_allclose(bars.lines[0].get_ydata(), of.mean())
+            half = [np.ptp(segment[:, 1]) / 2 for segment in bars.lines[2][0].get_segments()]
+            np.testing.assert_allclose(half, 4.303 * of.std() / 3**0.5, rtol=1e-3)
+    levels = [line.get_ydata()[0] for axes in (stated, simulated) for line in axes.lines]
+    assert sum(level == pytest.approx(12**-0.5) for level in levels) == 2  # any κ in [0, 1]
+    begins_s = run.log["t_s"][~run.log["on_straight"]].min()
+    low_s, high_s = time.get_xlim()
+    assert low_s < begins_s < high_s and len(time.collections) == 1
+
+
 def test_each_reading_has_a_line_of_its_own_name_and_colour():
     """Vermillion where the interval of the change is above 0, blue where it is below."""
     table = pd.read_csv(ROOT / "data/results/audit_interpretations.csv")

@@ -282,13 +282,19 @@ def test_a_cell_that_fails_is_told_in_a_sentence_where_it_can_be(
 
 
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
-    """A cell may describe its own; nbconvert writes them into its pages."""
-    path = toy(tmp_path, "from PIL.Image import new\nnew('L', (9, 9))", OWN_ALT)
+    """A cell may describe its own; nbconvert writes them into its pages.
+
+    For make the output is older than what was edited while it ran.
+    """
+    edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
+    path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT)
     found = nbformat.read(path, 4)
     caption = "Words before.\n\n**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
     found.cells.insert(1, v4.new_markdown_cell(caption))
     nbformat.write(found, path)
-    page, _ = HTMLExporter().from_filename(str(run_toy(monkeypatch, path)))
+    output = run_toy(monkeypatch, path)
+    assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
+    page, _ = HTMLExporter().from_filename(str(output))
     one, other = re.findall(r'<img alt="(.*?)"', page)
     assert one.startswith("Figure 1. The error by GNSS. More.") and len(one) <= 250
     assert other == "its own" and "No description has been provided" not in page

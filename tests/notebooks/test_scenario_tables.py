@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import rhec
 from notebooks.studies import scenario_tables, statistics, tables
@@ -31,6 +32,59 @@ def test_the_interval_of_a_metric_that_is_not_negative_is_not_negative():
     table = scenario_tables.scenario_a_table(sweep)
     means = table[~table["weight"].str.contains("/")]
     assert (means["low"] == 0).all() and (means["high"] > means["mean"]).all()
+
+
+def test_the_tables_of_skewed_drives_have_their_means_and_ranges():
+    """Oracle: NumPy's mean and percentiles, and Student's t of the paired difference."""
+    rng = np.random.default_rng(0)
+    n = 7
+    sweep = pd.DataFrame(
+        [
+            dict(turns=turns, process_noise=rule, estimator=name, seed=seed)
+            for turns in ("alternate", "left")
+            for rule in ("consistent", "printed")
+            for name in ("rhe", "ekf")
+            for seed in range(n)
+        ]
+    )
+    for name in scenario_tables._QUANTITIES_B:
+        sweep[name] = rng.lognormal(-3, 1, len(sweep))
+    sweep["violations"] = rng.integers(0, 3, len(sweep))
+    names = scenario_tables._QUANTITIES_B
+    key = ["turns", "process_noise", "estimator", "quantity"]
+    table = scenario_tables.scenario_b_table(sweep).set_index(key)
+    for (turns, rule), of in sweep.assign(is_clean=sweep["violations"] == 0).groupby(key[:2]):
+        both = {name.upper(): each.set_index("seed") for name, each in of.groupby("estimator")}
+        for column, quantity in names.items():
+            for name, drives in both.items():
+                row = table.loc[(turns, rule, name, quantity)]
+                assert row["mean"] == pytest.approx(drives[column].mean()) and row["n"] == n
+                if column != "is_clean":
+                    ends = np.percentile(drives[column], (5, 95))
+                    assert (row["p5"], row["p95"]) == pytest.approx(tuple(ends))
+                reported = scenario_tables.REPORTED.get((name, column), "")
+                assert row["paper"] == reported
+                says_none = column == "violations" and name == "RHE"
+                assert row["claim"] == ("at most 0" if says_none else "")
+            if column in ("mean_error_m", "violations"):
+                gain = both["RHE"][column] - both["EKF"][column]
+                row = table.loc[(turns, rule, "RHE - EKF", quantity)]
+                half = 2.447 * gain.std() / np.sqrt(n)
+                wanted = (gain.mean(), gain.mean() - half, gain.mean() + half)
+                assert (row["mean"], row["low"], row["high"]) == pytest.approx(wanted, rel=1e-3)
+                row = table.loc[(turns, rule, "P(RHE < EKF)", quantity)]
+                assert row["mean"] == pytest.approx((gain < 0).mean())
+    assert len(table) == 4 * (8 * 2 + 2 * 2)
+    weights = [*scenario_tables.yaw_weights()]
+    of_a = pd.DataFrame(dict(weight=np.repeat(weights, n), seed=[*range(n)] * 4))
+    for name in scenario_tables._QUANTITIES_A:
+        of_a[name] = rng.lognormal(0, 1, len(of_a))
+    shown = scenario_tables.scenario_a_table(of_a).set_index(["weight", "quantity"])
+    for weight, of in of_a.groupby("weight"):
+        for column, quantity in scenario_tables._QUANTITIES_A.items():
+            row = shown.loc[(weight, quantity)]
+            assert row["mean"] == pytest.approx(of[column].mean())
+            assert row["p95"] == pytest.approx(np.percentile(of[column], 95))
 
 
 def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():

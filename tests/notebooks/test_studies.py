@@ -64,3 +64,24 @@ def test_a_stack_is_as_deep_as_the_largest_sum_over_a_chain_of_calls(tmp_path):
     (tmp_path / "code.ci").write_text("\n".join(graph))
     found = toolchain.sizes(machine, [tmp_path / "code.o"])
     assert found["stack_bytes"] == 16 + 32 + 80 and 40 <= found["code_bytes"] < 400
+
+
+def test_a_machine_is_there_with_its_compiler_and_its_emulator(monkeypatch):
+    found = {}
+    own = ["/bin/cc"]
+    monkeypatch.setattr(toolchain.shutil, "which", found.get)
+    monkeypatch.setattr(toolchain.compiled, "compiler", lambda: own[0])
+    assert toolchain.this_machine().compiler == "/bin/cc"
+    found["gcc"] = "/bin/gcc"  # it alone writes how large the stack grows
+    assert toolchain.this_machine().compiler == "/bin/gcc"
+    monkeypatch.setattr(toolchain.platform, "machine", lambda: "x86_64")
+    both = {"aarch64-linux-gnu-gcc": "/bin/cross", "qemu-aarch64": "/bin/qemu"}
+    for name in both:
+        found |= both
+        assert toolchain.arm() == ("aarch64", "/bin/cross", ("/bin/qemu",))
+        del found[name]
+        assert toolchain.arm() is None
+    monkeypatch.setattr(toolchain.platform, "machine", lambda: "aarch64")
+    assert toolchain.arm() == ("aarch64", "/bin/gcc", ())
+    own[0] = None
+    assert toolchain.this_machine() is toolchain.arm() is None

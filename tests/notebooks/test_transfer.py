@@ -7,6 +7,7 @@ from helpers import recorded_log
 
 from notebooks.further import transfer
 from notebooks.further.recorded import rivals, scores
+from rhec import paper
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
 
@@ -78,6 +79,67 @@ def test_each_robot_is_left_out_once():
     for name in transfer._SCORES:
         assert row[name] == pytest.approx(own[name].mean(), nan_ok=True)
     assert row["low"] < row["yaw_rms_rad"] < row["high"]
+
+
+def test_a_search_finds_the_least_value_within_its_evaluations():
+    """Of a bowl, whose places are set together where one unknown sets them."""
+    asked = []
+
+    def bowl(sigma):
+        asked.append(sigma)
+        return np.square(np.log(np.divide(sigma, (0.02, 0.02, 0.5)))).sum()
+
+    found = transfer._search(bowl, [(0, 1), (2,)])
+    assert found == pytest.approx((0.02, 0.02, 0.5), rel=0.05) and len(asked) <= 80
+    assert all(f"{value:.2g}" == f"{value:g}" for value in found)
+
+
+def test_a_trial_has_the_noise_and_the_rate_that_it_says():
+    log = recorded_log(25.0, 60.0, noise_m=0.0)
+    one, other = (transfer._noisy(log, seed) for seed in (1, 2))
+    clean = log.iloc[::5].reset_index(drop=True)
+    np.testing.assert_array_equal(one["t_s"], clean["t_s"])
+    for name in ("x_m", "y_m"):
+        noise = one[name] - clean[name]
+        assert noise.std() == pytest.approx(0.02, rel=0.1) and not (one[name] == other[name]).any()
+    slow = log.iloc[::10]  # 2.5 Hz: every sample is taken
+    assert len(transfer._noisy(slow, 1)) == len(slow)
+
+
+def test_what_a_rival_knows_does_not_walk():
+    sigma = np.arange(1.0, 13.0)
+    settings = transfer._settings("EKF of (μ, κ)", 0.3, sigma)
+    assert [*settings["V"]] == [1, 4, 9, 16]
+    assert [*settings["W"]] == [0, 0, 0, 0, 0, 49, 64]
+    assert settings["c"] == [9, 10, 11, 12, 0, 0.6, paper.DT_S]
+
+
+def test_calibrations_meet_in_their_geometric_mean():
+    """One that kept the defaults does not count; the side slip may be 0."""
+    one = dict(sigma_v=(0.01, 4.0), sigma_w=(0.1,), slip=(0.02, 0.3), track_width_m=1.0)
+    other = dict(sigma_v=(0.04, 1.0), sigma_w=(0.4,), slip=(0.08, 0.0))
+    middle = transfer._middle([one, {}, other])
+    assert middle["sigma_v"] == pytest.approx((0.02, 2.0))
+    assert middle["sigma_w"] == pytest.approx((0.2,))
+    assert middle["slip"] == pytest.approx((0.04, 0.15)) and len(middle) == 3
+
+
+def test_the_page_leaves_out_a_calibration_that_kept_the_defaults():
+    scores_of = dict.fromkeys(transfer._SHARES, 0.9)
+    rows = [
+        dict(log=log, estimator="RHE", tuned=tuned, seed=seed, yaw_rms_rad=rms + 0.01 * seed)
+        for log, own in (("kept", 0.2), ("tuned", 0.1))
+        for tuned, rms in (("itself", own), ("shipped", 0.2))
+        for seed in range(3)
+    ]
+    told = transfer.of_the_page(pd.DataFrame(rows).assign(**scores_of))
+    kept = [*zip(told["log"], told["tuned"])]
+    assert kept == [("kept", "shipped"), ("tuned", "itself"), ("tuned", "shipped")]
+    assert [*told["yaw_rms_rad"]] == pytest.approx([0.21, 0.11, 0.21])
+    # Of three values the interval of the mean is 4.30 deviations over √3 to either side.
+    assert [*(told["high"] - told["low"])] == pytest.approx(
+        [2 * 4.303 * 0.01 / 3**0.5] * 3, rel=1e-3
+    )
 
 
 def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():

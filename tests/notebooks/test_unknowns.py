@@ -129,6 +129,12 @@ def test_the_words_name_what_pays(factor_of, what, percent):
 def test_a_world_where_an_oracle_is_lost_does_not_count():
     table = unknowns.worth_table(made_up(drift_pays, lost=(unknowns.SOFT,)))
     assert unknowns.drivable(table) == [name for name in EVERY_WORLD if name != unknowns.SOFT]
+    # With R tuned it does not matter whether the oracle is lost.
+    of_oracle = table["robot"] == unknowns.ORACLE
+    other = table.assign(
+        lost=table["lost"].mask(of_oracle & (table["weights"] == unknowns.TUNED), 1)
+    )
+    assert unknowns.drivable(other) == unknowns.drivable(table)
     words = unknowns.in_words(table, by_rule(), map_of_equals())
     assert "Not counted is the world 'soft', where the oracle is lost in 100 % of the" in words
 

@@ -1,5 +1,7 @@
 """The drives by which the verdict on a log is judged, and how its rates are counted."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +12,8 @@ from notebooks.further.recorded import verdicts
 @pytest.mark.parametrize("kind", verdicts.OPEN_LOOP)
 def test_a_robot_in_open_loop_is_what_its_kind_says(kind):
     """It goes μ times as far as its tracks, turns κ times, and drifts in proportion to its way."""
+    said = {float(number) for number in re.findall(r"[\d.]+", kind)}
+    assert said <= {*verdicts.OPEN_LOOP[kind].values()}
     changes = verdicts.OPEN_LOOP[kind] | dict(slip=0.0, lag_s=0.0)
     log = verdicts.open_loop_log(3, **changes)
     assert log["t_s"].iloc[-1] == pytest.approx(changes.get("duration_s", 180.0), abs=0.02)

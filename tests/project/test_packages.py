@@ -61,6 +61,12 @@ def test_what_an_extra_adds_is_counted_once_and_with_all_that_it_needs(monkeypat
     assert megabytes("casadi") > megabytes("tqdm") > 0
 
 
+def test_packages_that_need_each_other_are_counted_once(monkeypatch):
+    needs = dict(one=["other"], other=["one", "third"], third=["other"])
+    monkeypatch.setattr(packages.metadata, "requires", needs.get)
+    assert closure("one") == {"other", "third"}
+
+
 def test_engines_are_pinned_beside_what_is_installed(environment):
     """No package of tests/engines.txt would replace one of environment.txt."""
     engines = pinned((ROOT / "tests/engines.txt").read_text(encoding="utf-8"), "3.11")

@@ -1,0 +1,161 @@
+"""Pictures and tables in git are what the code makes of the drives and tables in git.
+
+Pictures are compared pixel by pixel. Those of many drives are not in git; `test_figures` compares
+what they show with the drives.
+"""
+
+import functools
+import io
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+import rhec
+from docs.site.check_figures import difference
+from notebooks.further import faults, recorded_logs, traction_worth_plots
+from notebooks.plots import interpretations, robot_drawings, scenarios, which_worlds
+from notebooks.studies import order_in_worlds, scenario_tables
+from notebooks.studies import which_worlds as worlds
+from rhec import style
+
+
+def table(name):
+    return pd.read_csv(style.ROOT / f"data/results/{name}.csv")
+
+
+@functools.cache
+def pairs():
+    """The drives of Figures 7 and 8, the same field with W by each rule."""
+    return {
+        noise: scenario_tables.rhe_and_ekf(process_noise=noise, seed=0, turns="alternate")
+        for noise in scenario_tables.PROCESS_NOISES
+    }
+
+
+@functools.cache
+def inverse():
+    """What notebook 07 shows: the posterior's worlds, its tables, and drives before and after."""
+    drives = worlds.prior_drives()
+    table = worlds.simulations(drives, worlds.both_rounds(drives))
+    drawn, *_ = worlds.posterior_draws(table, 2000, 0)
+    learned = worlds.learned(drawn)
+    after = worlds.statistics_with_own_w(
+        worlds.posterior_drives()["posterior"], worlds.posterior_table()
+    )
+    of_w = table.statistics.reshape(len(worlds.CHOICES), -1, len(worlds.STATEMENTS))
+    before = of_w[:, : worlds.FIELDS * worlds.FIRST_ROUND]
+    effective = order_in_worlds.effective_worlds()
+    parts = {"prior": worlds.shares(before), "posterior": worlds.shares(after, effective)}
+    statements = pd.concat(parts, axis=1)
+    tables = dict(
+        inverse_posterior=learned.reset_index(),
+        inverse_statements=statements.set_axis(map(" ".join, statements), axis=1).reset_index(),
+        inverse_default=worlds.beside_the_default().reset_index(),
+        inverse_rules=order_in_worlds.rule_rows(order_in_worlds.order_drives(), effective),
+    )
+    some = np.random.default_rng(0).permutation(np.concatenate(before))[:4000]
+    return (drawn, learned), tables, (some, after)
+
+
+def yaw_weights():
+    """The drives of Figure 6."""
+    return {
+        weight: rhec.simulate(rhec.Scenario(process_noise="printed", **choice))
+        for weight, choice in scenario_tables.yaw_weights().items()
+    }
+
+
+PICTURES = {
+    "fig01_robot_in_row": robot_drawings.robot_in_row,
+    "fig02_robot_parts": robot_drawings.robot_parts,
+    "fig03_hardware": robot_drawings.hardware_blocks,
+    "fig04_schematic": robot_drawings.schematic,
+    "fig06_yaw_weight": lambda: scenarios.trajectories_q(yaw_weights(), table("table_scenario_a")),
+    "fig07_trajectories": lambda: scenarios.trajectories(pairs()),
+    "fig08_errors": lambda: scenarios.errors(pairs()),
+    "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
+    "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
+    "audit_interpretations": lambda: interpretations.forest(
+        table("audit_interpretations"), "prediction"
+    ),
+    "inverse_order": lambda: which_worlds.order(table("inverse_rules")),
+    "inverse_predictions": lambda: which_worlds.predictions(*inverse()[2]),
+    "traction_map": lambda: traction_worth_plots.map_of_worth(
+        table("table_traction_map").astype(dict(told=str))
+    ),
+    "unknowns": lambda: traction_worth_plots.unknowns_by_difference(table("table_unknowns")),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_picture_in_git_is_what_is_drawn(name, virtual_machine):
+    figure = PICTURES[name]()
+    assert figure.get_figwidth() in (style.COLUMN_IN, style.DOUBLE_IN)
+    kept = Image.open(style.ROOT / f"figures/{name}.png")
+    # Matplotlib's next version may put a letter elsewhere.
+    if f"version{mpl.__version__}," in kept.text["Software"]:
+        with mpl.rc_context(style.RC | {"figure.constrained_layout.use": False}):
+            figure.savefig(pixels := io.BytesIO(), format="rgba")
+        drawn = np.frombuffer(pixels.getvalue(), np.uint8).astype(int)
+        differs = np.abs(drawn - np.asarray(kept.convert("RGBA")).ravel()) > 16
+        assert differs.sum() < 20, f"{differs.sum()} values differ; look at it after `make figures`"
+
+
+def test_the_tables_in_git_are_what_the_drives_in_git_give(monkeypatch):
+    """Of the table by how many simulations are kept, the first row."""
+    monkeypatch.setattr(worlds, "KEPT", worlds.KEPT[:1])
+    drives = worlds.prior_drives()
+    kept = worlds.by_kept(worlds.simulations(drives, worlds.both_rounds(drives))).reset_index()
+    expected = table("inverse_kept").head(1)
+    assert difference(kept.astype(expected.dtypes), expected) == ""
+    for name, made in inverse()[1].items():
+        assert difference(made.astype(table(name).dtypes), table(name)) == "", name
+
+
+def test_a_posterior_is_drawn_over_the_range_of_its_prior_and_in_colour_if_it_tells():
+    """Oracle: the worlds in each bin, over those that a flat prior has there."""
+    (drawn, learned), *_ = inverse()
+    shown = learned.loc[["speed_mps", "mu_slip", "kappa_slip", "rows", "turn_demand"]]
+    figure = which_worlds.posterior(drawn, shown)
+    assert [axes.get_visible() for axes in figure.axes] == [True] * 5 + [False] * 3
+    for axes, (name, row) in zip(figure.axes, shown.iterrows()):
+        prior = worlds.PRIORS[name]
+        (stairs,) = axes.patches
+        density, edges, _ = stairs.get_data()
+        assert (edges[0], edges[-1]) == pytest.approx((prior.least, prior.most))
+        if prior.logarithmic:
+            edges = np.log(edges)
+        assert np.diff(edges) == pytest.approx(np.ptp(edges) / len(density))
+        at = np.log(drawn[name]) if prior.logarithmic else drawn[name]
+        inside = [((low <= at) & (at < high)).mean() for low, high in zip(edges, edges[1:])]
+        assert density == pytest.approx(np.multiply(inside, len(density)), abs=0.02)
+        assert (axes.get_xscale() == "log") == prior.logarithmic
+        flat, middle = axes.lines
+        assert flat.get_ydata() == [1, 1] and middle.get_xdata() == [row["median"]] * 2
+        assert axes.get_ylim()[0] == 0 and axes.get_ylim()[1] > density.max()
+        percent = int(axes.get_title("left").split()[2])
+        assert percent == pytest.approx(100 * max(row["narrowed"], 0), abs=0.51)
+        colour = style.BLUE if row["narrowed"] > 0.15 else style.GREY
+        assert stairs.get_facecolor()[:3] == to_rgb(colour)
+
+
+def test_a_row_of_the_published_faults_is_what_its_drives_give():
+    case = {"outage": {"10 s": faults.CASES["outage"]["10 s"]}}
+    runs = faults.study(rhec.Scenario(process_noise="prediction"), range(6), {"RHE": {}}, case)
+    made = faults.fault_table(runs)
+    of = table("table_faults")
+    row = of[(of["family"] == "GNSS outage") & (of["case"] == "10 s") & (of["estimator"] == "RHE")]
+    assert difference(made, row.reset_index(drop=True)) == ""
+
+
+def test_the_published_scores_of_a_replay_are_those_of_the_example_log():
+    estimators = {"EKF": recorded_logs.estimators("soft_soil", {})["EKF"]}
+    log = rhec.logs.read(style.ROOT / "data/example_log.csv")
+    trials = recorded_logs.trials(log, range(6), estimators, noise_m=0.02, yaw_error_rad=0.3)
+    made = recorded_logs.replay_table(trials)
+    of = table("table_replay")
+    assert difference(made, of[of["estimator"] == "EKF"].reset_index(drop=True)) == ""
