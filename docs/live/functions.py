@@ -1,6 +1,6 @@
 """The CasADi Functions of the live page, and the C text of a run that is made from them.
 
-The sample is the one that `rhec.simulate` runs, for any path of up to so many segments and any soil
+The sample is the one that `rhec.simulate` runs, for any path of up to twelve segments and any soil
 on a grid of up to this size. Errors are counted from the closest point of the whole path, as
 `rhec.tracked_robot.path.Path.project` finds it.
 """
@@ -16,10 +16,10 @@ from rhec.core._casadi.c_text import generate_c
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.parts import parts_of
-from rhec.tracked_robot.path import SAME_M, Path, advance, ahead_and_left, on_arc, on_line
+from rhec.tracked_robot.path import SAME_M, advance, ahead_and_left, on_arc, on_line
+from rhec.tracked_robot.references import padded_segments
 
 __all__ = ["ERRORS", "MAX_SAMPLES", "argument_tables", "build_functions", "c_module", "c_text"]
-__all__ += ["with_segments"]
 
 MAX_SAMPLES = 1200  # of a run: four minutes
 # Outputs of the Function `errors`, in this order.
@@ -29,33 +29,23 @@ _LOGGED = ("memory", "noise", "row", "covariance", "errors")
 _LOOP_C = pathlib.Path(__file__).parent / "loop.c"
 
 
-def build_functions(scenario, n_segments, soil_shape):
+def build_functions(scenario, soil_shape):
     """Build the Functions that the page calls for the structure of a Scenario.
 
     Args:
         scenario: The Scenario.
-        n_segments: Number of segments of each path that it may follow; see `with_segments`.
         soil_shape: Shape of the grid of its soil.
 
     Returns:
         {name: Function}: sample (memory, noise, settings …) -> (memory, row, covariance), and
-        errors (row, segments, length_m) -> ERRORS.
+        errors (row, padded_segments, length_m) -> ERRORS.
     """
     _, settings = closed_loop.set_up(scenario).structure
     world = closed_loop.world_of(scenario)
-    path = with_segments(world.path, n_segments)
-    world = world._replace(path=path, soil_shape=tuple(soil_shape))
+    world = world._replace(soil_shape=tuple(soil_shape))
     loop = tuple(part.block for part in parts_of(scenario, world))
     sample = closed_loop.build_sample(loop, settings)["step"]
-    return dict(sample=sample, errors=_build_errors(n_segments))
-
-
-def with_segments(path, n):
-    """The same closed Path of n segments: those that it lacks have no length, at its end."""
-    ends = np.tile(path.segments[0], (n - len(path.segments), 1))
-    ends[:, 0] = path.length_m
-    ends[:, 4] = 0.0
-    return Path(np.vstack([path.segments, ends]), path.length_m, path.closed)
+    return dict(sample=sample, errors=_build_errors(len(padded_segments(world.path))))
 
 
 def closest(x, y, segments, length_m):
@@ -92,12 +82,14 @@ def closest(x, y, segments, length_m):
 def _build_errors(n_segments):
     """{row of the log} -> ERRORS; error_m is NaN where no position was measured."""
 
-    @casadi_function("errors", row=(len(COLUMNS), 1), segments=(5, n_segments), length_m=(1, 1))
-    def errors(row, segments, length_m):
+    @casadi_function(
+        "errors", row=(len(COLUMNS), 1), padded_segments=(5, n_segments), length_m=(1, 1)
+    )
+    def errors(row, padded_segments, length_m):
         c = SimpleNamespace(**dict(zip(COLUMNS, ca.vertsplit(row))))
         is_measured = (ca.fabs(c.x_meas_m) < np.inf) * (ca.fabs(c.y_meas_m) < np.inf)
-        error, _, _ = closest(c.x_meas_m, c.y_meas_m, segments, length_m)
-        error_true, left, curvature = closest(c.x_m, c.y_m, segments, length_m)
+        error, _, _ = closest(c.x_meas_m, c.y_meas_m, padded_segments, length_m)
+        error_true, left, curvature = closest(c.x_m, c.y_m, padded_segments, length_m)
         measured = ca.if_else(is_measured, error, np.nan)
         return dict(errors=ca.vertcat(measured, error_true, left, curvature == 0))
 

@@ -154,7 +154,7 @@ class Loop { // a closed loop; `run` leaves the log of a whole run in its arrays
   run(values, stream, soil, samples) {
     this.set(values);
     this.field = soil.field;
-    this.at_segments.set(soil.field.segments);
+    this.at_padded_segments.set(soil.field.segments);
     this.at_period_m[0] = soil.field.period_m;
     this.at_length_m[0] = soil.field.length_m;
     this.at_slip.set(soil.slip);

@@ -36,6 +36,7 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS
 from rhec.tracked_robot import plant, terrain, tuning
 from rhec.tracked_robot.estimators import Choice, estimator_of
+from rhec.tracked_robot.references import padded_segments
 from rhec.tracked_robot.sensors import SENSORS
 
 __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
@@ -80,7 +81,7 @@ _FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_differe
 _START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
 # Settings of the loop that come with the soil.
 _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
-_OF_THE_PATH = ("segments", "period_m")
+_OF_THE_PATH = ("padded_segments", "period_m")
 
 
 def write(folder=REPORT):
@@ -278,13 +279,9 @@ def _cell_m():
     return next(iter(_setups().values())).terrain.cell_m
 
 
-def _most_segments():
-    return max(len(setup.path.segments) for setup in _setups().values())
-
-
 def functions_of(scenario):
     """The Functions of a Scenario's module, which fit each of TURNS."""
-    return functions.build_functions(scenario, _most_segments(), _soil_shape())
+    return functions.build_functions(scenario, _soil_shape())
 
 
 def fields_of_turns():
@@ -297,11 +294,10 @@ def _field(setup):
     # Equal steps of about half a metre: the last point is one step before the first.
     path_step_m = path.length_m / np.ceil(2 * path.length_m)
     line = path.poses(np.arange(0, path.length_m - 1e-9, path_step_m))[0][:, :2]
-    segments = functions.with_segments(path, _most_segments()).segments
     return dict(
         path=np.round(line, 3).tolist(),
         path_step_m=path_step_m,
-        segments=segments.ravel().tolist(),  # as CasADi stores their transpose
+        segments=padded_segments(path).ravel().tolist(),  # as CasADi stores their transpose
         period_m=path.period_m,
         length_m=path.length_m,
         plants=np.round(plants_of(path), 3).tolist(),

@@ -118,7 +118,7 @@ def _of_model(parts):
     return texts | _generated(export) | {"README.txt": readme}
 
 
-def _of_scenario(scenario, estimator_only=False):
+def _of_scenario(scenario, estimator_only):
     """{file: text} of the export of a Scenario."""
     export = exported_functions.export(scenario, estimator_only)
     texts = _common_files(*(_OF_SCENARIO[:1] if estimator_only else _OF_SCENARIO))

@@ -23,7 +23,7 @@ from rhec.tracked_robot import plant as robot
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 from rhec.tracked_robot.kinematics import OUTPUTS, QUANTITIES, SPEED_MODELS
 from rhec.tracked_robot.path import Path
-from rhec.tracked_robot.references import build_references, with_common_number
+from rhec.tracked_robot.references import build_references, padded_segments
 from rhec.tracked_robot.sensors import records, rows_of_yaws, within_a_turn
 from rhec.tracked_robot.terrain import Terrain
 
@@ -187,21 +187,21 @@ def _yaw_rate(scenario):
 
 def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
-    segments = world and with_common_number(world.path.segments)
+    segments = world and padded_segments(world.path)
     arguments = (
         paper.DT_S,
         scenario.prediction_horizon,
         world and len(segments),
         scenario.input_reference,
     )
-    reads = dict(segments="segments_in_common_number")
+    reads = dict(segments="padded_segments")
     references = block_of(build_references, *arguments, reads=reads, remembers=("s_m",))
     if not world:
         yield Part(references)
         return
     path = world.path
     settings = dict(
-        segments_in_common_number=segments.T,
+        padded_segments=segments.T,
         segments=path.segments.T,  # for a controller of one's own
         period_m=path.period_m,
         look_ahead_m=scenario.look_ahead_m,

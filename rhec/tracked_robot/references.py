@@ -38,13 +38,16 @@ def pose_at(s, segments, period_m):
     return ca.vertcat(*advance(row[1], row[2], row[3], row[4], s - row[0], ca)), row[4]
 
 
-def with_common_number(segments):
-    """The segments (M, 5) of a path, and more that begin beyond any place, up to the next of a few
-    numbers, so that another path seldom needs compiling.
+def padded_segments(path):
+    """The segments (M, 5) of a Path, and more without length up to the next of a few numbers, so
+    that another path seldom needs compiling.
+
+    They lie at the end of a closed path, which is its beginning, and beyond any place of an open
+    one, whose last segment goes on.
     """
-    last = segments[-1]
-    beyond = (_BEYOND_M, *last[1:])
-    return np.vstack([segments, *[beyond] * (-len(segments) % _SEGMENTS_STEP)])
+    _, x, y, theta, _ = path.segments[0]
+    none = (path.length_m if path.closed else _BEYOND_M, x, y, theta, 0.0)
+    return np.vstack([path.segments, *[none] * (-len(path.segments) % _SEGMENTS_STEP)])
 
 
 def closest(xy, s, segments, period_m, iterations=2):

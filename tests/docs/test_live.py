@@ -2,6 +2,7 @@
 
 import base64
 import ctypes
+import dataclasses
 import gzip
 import itertools
 import json
@@ -24,6 +25,7 @@ from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, MEASUREMENTS
 from rhec.tracked_robot import plant, tuning
+from rhec.tracked_robot.references import padded_segments
 from rhec.tracked_robot.terrain import common_shape
 
 START = dict(start_offset_m=-0.8, start_yaw_rad=0.5, guess_yaw_rad=0.1, speed_mps=0.6)
@@ -98,12 +100,12 @@ def test_errors_are_those_of_the_run(turns, own):
 
 
 def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
-    scenario = rhec.Scenario(duration_s=20.0)
+    scenario = rhec.Scenario(duration_s=20.0, turns="left")
     setup = closed_loop.set_up(scenario)
     run = rhec.simulate(scenario)
     n = len(run.log)
     shape = common_shape(setup.terrain)
-    built = functions.build_functions(scenario, len(setup.path.segments), shape)
+    built = functions.build_functions(scenario, shape)
     (tmp_path / "code.c").write_text(functions.c_text(built), encoding="utf-8")
     options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
     subprocess.run([compiled.compiler(), *options], cwd=tmp_path, check=True)
@@ -130,7 +132,7 @@ def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
 def test_the_closest_point_of_the_whole_path_is_that_of_the_path(turns):
     """Anywhere on the field, and to the left of a row and of both kinds of turns."""
     path = rhec.Path.rows(paper.ROW_LENGTH_M, paper.HEADLAND_RADIUS_M, turns)
-    segments = ca.DM(functions.with_segments(path, 20).segments.T)
+    segments = ca.DM(padded_segments(path).T)
     place = ca.SX.sym("place", 2)
     found = functions.closest(*ca.vertsplit(place), segments, path.length_m)
     closest = ca.Function("closest", [place], [ca.vertcat(*found)])
@@ -227,10 +229,13 @@ def test_a_module_comes_with_what_its_loop_needs(name, monkeypatch):
             setup.memory[made["places"][of]], pieces["estimator"][of].T, of
         )
     assert len(made["places"]) == (1 if "ekf" in name else 4)
-    for of, values in made["settings"].items():
-        assert values == [*np.ravel(setup.settings[of], order="F").astype(float)]
+    # What depends on the path comes with the path.
+    for turns in page.TURNS.values():
+        settings = closed_loop.set_up(dataclasses.replace(scenario, turns=turns)).settings
+        for of, values in made["settings"].items():
+            assert values == [*np.ravel(settings[of], order="F").astype(float)]
     built = page.functions_of(scenario)
-    others = {"memory", "noise", "segments", "period_m", "origin_m", "cell_m", "slip"}
+    others = {"memory", "noise", "padded_segments", "period_m", "origin_m", "cell_m", "slip"}
     assert {*built["sample"].name_in()} - {*made["settings"]} <= others | {"mean_traction"}
     assert made["faulty"] == ("faulty" in name) and {*made["noises"]} == {*page.RULES}
     assert made["line"] == {key: of for key, of in own.items() if key != "faults"}
