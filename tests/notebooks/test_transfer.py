@@ -143,9 +143,12 @@ def test_the_page_leaves_out_a_calibration_that_kept_the_defaults():
 
 
 def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
-    """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither."""
-    n = 8
-    error = [0.6, -0.6, 0.7, 0.1, 0.0, -0.1, 2 * np.pi, 0.3]
+    """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither.
+
+    A sample without an estimate counts in neither, and is not outside of [0, 1].
+    """
+    n = 9
+    error = [0.6, -0.6, 0.7, 0.1, np.nan, 0.0, -0.1, 2 * np.pi, 0.3]
     samples = pd.DataFrame(
         dict(
             segment=np.zeros(n, int),
@@ -153,15 +156,16 @@ def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
             omega_meas_radps=0.0,
             theta_rad=0.2,
             theta_hat_rad=np.add(0.2, error),
-            sigma_theta_rad=[0.3, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.3],
-            ok=[True, False, True, True, True, True, True, True],
-            mu_hat=0.9,
-            kappa_hat=0.9,
+            sigma_theta_rad=[0.3, 0.2, 0.2, 0.3, np.nan, 0.2, 0.2, 0.2, 0.3],
+            ok=[True, False, True, True, True, True, True, True, True],
+            mu_hat=[0.9, 0.0, 1.0, 1.1, np.nan, 0.9, 0.9, 0.9, 0.9],
+            kappa_hat=[0.9, 1.0, 0.0, 0.9, np.nan, -0.1, 0.9, 0.9, 0.9],
             innovation_x_m=0.0,
             innovation_y_m=0.0,
         )
     )
     values = scores.score(samples)
+    assert values["outside"] == 2 and values["not_ok"] == 1
     assert values["bad_unsure"] == pytest.approx(2 / 3)
     assert values["good_unsure"] == pytest.approx(1 / 4)
     assert np.isnan(scores.score(samples[3:])["bad_unsure"])

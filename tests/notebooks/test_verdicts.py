@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from notebooks.further.recorded import verdicts
+import rhec
+from notebooks.further.recorded import page, verdicts
 
 
 @pytest.mark.parametrize("kind", verdicts.OPEN_LOOP)
@@ -26,6 +27,22 @@ def test_a_robot_in_open_loop_is_what_its_kind_says(kind):
     assert log["x_m"].notna().sum() == pytest.approx(
         changes.get("gnss_hz", 5) * log["t_s"].iloc[-1], abs=2
     )
+
+
+def test_what_is_true_of_a_log_is_what_its_robot_does():
+    """By the regression on its true path, of the robot's centre: not of an antenna beside it."""
+    log = verdicts.open_loop_log(3, drift_radpm=0.05, slip=0.0, lag_s=0.0, duration_s=90.0)
+    samples = rhec.log(log, trust_log=True).samples.assign(arm_forward_hat_m=0.5)
+    found = [slope.value for slope in verdicts.true_slopes(samples)]
+    assert found == pytest.approx([verdicts.MU, verdicts.KAPPA, 0.05], abs=0.01)
+
+
+def test_each_log_of_the_page_is_judged(monkeypatch):
+    monkeypatch.setattr(verdicts, "judged", lambda log: dict(rows=len(log)))
+    monkeypatch.setattr(page, "aligned", lambda log: log[1:])
+    log = verdicts.open_loop_log(3)
+    found = page.said(dict(whole=log, part=log[:100]))
+    assert found.to_dict("list") == dict(log=["whole", "part"], rows=[len(log) - 1, 99])
 
 
 def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
