@@ -347,7 +347,7 @@ def _title(notebook):
 
 def _provenance_page(stories, figures):
     """The provenance of the results."""
-    sources = {style.source_of(file) for file in sorted(figures.glob("*.png"))} - {""}
+    sources = {style.source_of(file) for file in figures.glob("*.png")} - {""}
     facts = [
         ("Project", f"rhec {__version__}"),
         ("Source", f"{style.source()} (digest of rhec/, notebooks/ and the standard fields)"),

@@ -356,6 +356,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     for name, panel in made.screen.picture["panels"].items():
         axes = saved[panel["title"]]
         assert axes.get_yscale() == ("log" if name == "kkt" else "linear")
+        assert axes.xaxis.get_label_text() == panel["across"]
         ends = (*axes.get_xlim(), *axes.get_ylim())
         assert ends == pytest.approx((*panel["xlim"], *panel["ylim"])) or name == "map"
         shown = [each for each in panels[name] if each[0]["kind"] in ("line", "dots")]
