@@ -116,8 +116,10 @@ def _map_limits(run, zoom):
     """((x, x_end), (y, y_end), scale) of a zoom."""
     path = run.path
     points = np.reshape(path.box, (2, 2)).T
-    margin_m = 1.1 * round_up_to(abs(run.scenario.start_offset_m))
+    start_m = abs(run.scenario.start_offset_m)
+    margin_m = 2.0 + start_m
     if zoom == "first row":
+        margin_m = 1.1 * round_up_to(start_m)
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
         points = path.poses([0.0, end])[0][:, :2]
     elif zoom == "worst place":

@@ -624,14 +624,15 @@ def test_sliders_of_noise_show_the_noise_in_use(made, name, entries):
 
 
 def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
-    """And new patches may be put beside all of it."""
+    """There is room for the ring around a place on it, and for new patches beside all of it."""
     across = {slider.key: slider for slider in controls.PATCH}
     for turns in get_args(Turns):
         made.inputs["turns"].value = turns
         panel = made.screen.picture["panels"]["map"]
         x_min, x_max, y_min, y_max = made.runs[0].path.box
         (low_x, high_x), (low_y, high_y) = panel["xlim"], panel["ylim"]
-        assert low_x < x_min and x_max < high_x and low_y < y_min and y_max < high_y
+        assert low_x + 2 < x_min and x_max < high_x - 2
+        assert low_y + 2 < y_min and y_max < high_y - 2
         assert across[0].low <= x_min and x_max <= across[0].high
         assert across[1].low <= y_min and y_max <= across[1].high
 
