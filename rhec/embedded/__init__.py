@@ -150,7 +150,8 @@ def log_columns(scenario):
 def _common_files(*programs):
     """{file: text} of the files that are the same in all exports, and of these programs."""
     left_out = {*_OF_SCENARIO, *_OF_LOG} - {*programs}
-    files = Path(__file__).with_name("c").iterdir()
+    # `_write` replaces files in this order, which is not left to the file system.
+    files = sorted(Path(__file__).with_name("c").iterdir())
     texts = {
         file.name: file.read_text(encoding="utf-8") for file in files if file.name not in left_out
     }

@@ -205,3 +205,10 @@ def test_a_picture_of_a_page_keeps_its_colours_over_white(tmp_path):
         assert picture.format == "WEBP"
         shown = np.array(picture.convert("RGB"))
     assert (shown[:8] == [0, 114, 178]).all() and (shown[8:] == 255).all()
+
+
+def test_a_notebook_that_was_stopped_has_no_duration():
+    record = dict(duration=None, start_time="2026-01-02T03:04:05.6")
+    notebook = nbformat.v4.new_notebook(metadata=dict(papermill=record))
+    found = report._run_of(Path("01_tutorial.ipynb"), notebook)
+    assert (found["started (UTC)"], found["duration [s]"]) == ("2026-01-02 03:04:05", "0")
