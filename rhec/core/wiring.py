@@ -85,7 +85,7 @@ def evaluated(parts, values) -> dict:
         The values, and what the Functions have written last at each place.
 
     Raises:
-        ValueError: If a value has another shape than a Function reads; one sentence.
+        ValueError: If a value has another shape than a Function reads.
     """
     values = dict(values)
     for part in parts:

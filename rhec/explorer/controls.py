@@ -48,14 +48,17 @@ class Selection(NamedTuple):
 
 
 def _step(low, high, default):
-    """The largest of 1, 2 and 5 times a power of ten that makes at least 40 steps, and where there
-    is one, that reaches the default value.
+    """The step of a slider: 1, 2 or 5 times a power of ten, at most a 40th of the range.
+
+    It is the largest from which the default value is reached, or, if none reaches it, the largest.
     """
     low, high, default = (Decimal(str(value)) for value in (low, high, default))
     longest = (high - low) / 40
     power = longest.adjusted()
-    ten = [Decimal(digit).scaleb(power - smaller) for smaller in (0, 1) for digit in (5, 2, 1)]
-    steps = [step for step in ten if step <= longest]
+    round_numbers = [
+        Decimal(digit).scaleb(power - smaller) for smaller in (0, 1) for digit in (5, 2, 1)
+    ]
+    steps = [step for step in round_numbers if step <= longest]
     return float(next((step for step in steps if (default - low) % step == 0), steps[0]))
 
 

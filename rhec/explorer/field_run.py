@@ -85,8 +85,11 @@ def round_up_to(value):
     return 0.15 * 2.0**doublings
 
 
-def _most(columns, *names):
-    """The ends of what these columns of several runs have, but for the start and what is rare."""
+def _common_range(columns, *names):
+    """The 1 % and the 95 % quantile of the positive values of these columns of several runs.
+
+    So what is rare, such as the error of an offset start, may be cut off. (1, 1) without values.
+    """
     values = np.concatenate([run[name] for run in columns for name in names])
     values = values[np.isfinite(values) & (values > 0)]
     return np.quantile(values, [0.01, 0.95]) if len(values) else (1.0, 1.0)
@@ -94,12 +97,12 @@ def _most(columns, *names):
 
 def _limits(columns, bound):
     """{panel: limits} for nearly all values, in coarse steps."""
-    limits = dict(error=(0.0, round_up_to(_most(columns, "error_true_m")[1])))
+    limits = dict(error=(0.0, round_up_to(_common_range(columns, "error_true_m")[1])))
     for name in ("mu", "kappa"):
-        low, _ = _most(columns, name, f"{name}_hat")
+        low, _ = _common_range(columns, name, f"{name}_hat")
         limits[name] = next((each for each in (0.8, 0.6, 0.4, 0.2) if low > each), 0.0), 1.02
     limits["yaw_rate"] = -1.25 * bound, 1.25 * bound
-    low, high = np.floor(np.log10(_most(columns, "kkt_rhe", "kkt_rhc")))
+    low, high = np.floor(np.log10(_common_range(columns, "kkt_rhe", "kkt_rhc")))
     limits["kkt"] = 10.0**low, 10.0 ** (high + 1)
     return limits
 

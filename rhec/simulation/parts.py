@@ -187,13 +187,8 @@ def _yaw_rate(scenario):
 
 def _references(scenario, world):
     """The references ξ_r, ω_r on the path."""
-    segments = world and padded_segments(world.path)
-    arguments = (
-        paper.DT_S,
-        scenario.prediction_horizon,
-        world and len(segments),
-        scenario.input_reference,
-    )
+    segments = padded_segments(world.path) if world else ()
+    arguments = paper.DT_S, scenario.prediction_horizon, len(segments), scenario.input_reference
     reads = dict(segments="padded_segments")
     references = block_of(build_references, *arguments, reads=reads, remembers=("s_m",))
     if not world:

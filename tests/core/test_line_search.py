@@ -102,12 +102,12 @@ def test_with_an_excess_it_has_converged_at_the_highest_price_alone(excess):
     """Which is higher with each iteration near a solution that exceeds a hard row."""
     penalty = np.zeros(6)
     for iteration in range(20):
-        before, (penalty, found) = penalty[1], shortened(penalty, 0.1, 1e-10, excess)
+        before = penalty[1]
+        penalty, found = shortened(penalty, 0.1, 1e-10, excess)
         assert found["near"] and found["excess_shown"] in (0, excess)
         assert found["converged"] == (penalty[1] == before)
         if found["converged"]:
             break
         assert penalty[1] == before - 1 and not found["done"]
-    assert (
-        found["converged"] and found["excess_shown"] == excess and (iteration > 0) == (excess > 0)
-    )
+    assert found["converged"] and found["excess_shown"] == excess
+    assert (iteration > 0) == (excess > 0)

@@ -145,7 +145,8 @@ def test_a_lost_rival_far_away_leaves_the_others_apart():
     """Our number and the paper's are as far apart as on a card without that rival."""
     row = next(row for row in DRAWN if row["id"] == "B5")
     alone = cards.interval(row | dict(other_n=0, other_value=""))
-    value, reach = float(row["value"]), np.ptp([0.0, float(row["value"]), float(row["paper"])])
+    value = float(row["value"])
+    reach = np.ptp([0.0, value, float(row["paper"])])
     for times, is_beyond in ((3, False), (5, True)):
         other = dict(other_n=9, other_value=value + times * reach, other_low="", other_high="")
         assert (cards.interval(row | other)["beyond"] is None) != is_beyond

@@ -112,7 +112,8 @@ SLIDERS |= {each.key: each for each in controls.PATCH}
 @pytest.mark.parametrize("key", SLIDERS)
 def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be(key):
     """What it shows at first is one of them; of a logarithmic one the ends are powers of ten."""
-    slider, values = SLIDERS[key], controls.values_of(SHORT)
+    slider = SLIDERS[key]
+    values = controls.values_of(SHORT)
     values |= dict(enumerate(controls.NEW_PATCH))
     widget = explorer._input(slider, values[key])
     assert slider.low <= widget.min < slider.low + slider.step and widget.max == slider.high
@@ -299,9 +300,8 @@ def test_the_table_has_each_metric_under_its_heading(made):
         for cell, heading, (metric, *_) in zip(cells, headings, explorer.METRICS, strict=True):
             step = 1e-4 if heading.startswith("mean") else of_unit[heading.split()[-1]]
             value = run.metrics[metric]
-            assert len(cell) == len(f"{value:.9f}") - 9 + max(0, round(-np.log10(step))) - (
-                step == 1
-            )
+            decimals = round(-np.log10(step))
+            assert len(cell) == len(f"{value:.{decimals}f}"), heading
             assert abs(float(cell) - value) <= 0.51 * step, heading
 
 
@@ -374,8 +374,8 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     kappa = made.runs[0].terrain.kappa
     # White where nothing slips, and the darkest brown where κ is about 0.17.
     np.testing.assert_allclose(shades, np.sqrt(1 - kappa.T) / 0.91)
-    (left, right, bottom, top), n = image.get_extent(), np.array(kappa.shape)
-    cell_m = np.array([right - left, top - bottom]) / n
+    left, right, bottom, top = image.get_extent()
+    cell_m = np.array([right - left, top - bottom]) / kappa.shape
     first = np.array([left, bottom]) + cell_m / 2
     np.testing.assert_allclose(first, made.runs[0].terrain.origin_m)
     np.testing.assert_allclose(cell_m, made.runs[0].terrain.cell_m)
@@ -385,7 +385,8 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
     """And shades the time spent in curves."""
     run = rhec.simulate(replace(SHORT, duration_s=120.0))
     _, *panels = field_run.picture_of([run]).panels.items()
-    areas, dashed = {}, {}
+    areas = {}
+    dashed = {}
     for name, panel in panels:
         y = np.concatenate([mark.y for mark in panel.marks if mark.label])
         inside = y[(panel.ylim[0] <= y) & (y <= panel.ylim[1])]
@@ -397,7 +398,8 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
         dashed[name] = [mark.y[0] for mark in panel.marks if mark.dash]
         curves_s = sum(np.ptp(mark.x) for mark in areas[name] if np.ptp(mark.x) < 120)
         assert curves_s == pytest.approx(paper.DT_S * (~run.columns["on_straight"]).sum())
-    bound, limit = paper.OMEGA_MAX_RADPS, dict(panels)["yaw_rate"].ylim[1]
+    bound = paper.OMEGA_MAX_RADPS
+    limit = dict(panels)["yaw_rate"].ylim[1]
     assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
     *_, tolerance = areas["error"]
     assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)

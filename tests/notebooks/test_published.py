@@ -101,17 +101,19 @@ COPIES = Path(__file__).with_name("pictures")
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_is_drawn_as_its_copy_shows(name, virtual_machine, tmp_path):
     figure = PICTURES[name]()
+    file = io.BytesIO()
     assert figure.get_figwidth() in (style.COLUMN_IN, style.DOUBLE_IN)
     with mpl.rc_context(style.RC | {"figure.constrained_layout.use": False}):
-        figure.savefig(drawn := io.BytesIO())
-    picture = Image.open(drawn)
+        figure.savefig(file)
+    picture = Image.open(file)
     small = picture.convert("RGB").reduce(SMALLER)
     copy = Image.open(COPIES / f"{name}.png")
     # Matplotlib's next version may put a letter elsewhere.
     if copy.text["Software"] == picture.text["Software"]:
         difference = np.abs(np.subtract(small, copy, dtype=int))
         if difference.max() > 8:
-            (about := PngInfo()).add_text("Software", picture.text["Software"])
+            about = PngInfo()
+            about.add_text("Software", picture.text["Software"])
             small.save(tmp_path / f"{name}.png", pnginfo=about)
         assert difference.max() <= 8, f"look at {tmp_path}; if it is right, it is the next copy"
 
