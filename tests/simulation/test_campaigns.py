@@ -218,6 +218,11 @@ def test_rows_are_kept_by_all_that_changes_bits(tmp_path, ran, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(compiled, "PROCESSOR", tmp_path / "processor")
         assert store.provenance() != here
+    with monkeypatch.context() as patch:
+        patch.setattr(compiled, "source_digest", lambda: "of other source")
+        store._installed.cache_clear()
+        assert store.provenance() != here
+    store._installed.cache_clear()
     assert store.provenance() == here
     folder = tmp_path / "rows"
     rhec.campaign(short(1), folder)

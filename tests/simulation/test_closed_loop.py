@@ -224,11 +224,11 @@ def test_the_oracles_know_what_they_say():
 
 
 def test_a_run_says_whether_and_when_the_robot_left_its_row():
-    """It leaves it where its positions jump."""
+    """It leaves it where its positions jump, after it has come there from beside it."""
     calm = simulated(estimator="oracle", start_offset_m=0.0, duration_s=20.0)
     assert "the robot stayed in its row: 0 violations" in repr(calm)
     jump = rhec.Fault(kind="jump", size_m=1.0, start_s=20.0, duration_s=20.0)
-    run = simulated(estimator="ekf", start_offset_m=0.0, faults=(jump,), duration_s=60.0)
+    run = simulated(estimator="ekf", start_offset_m=0.2, faults=(jump,), duration_s=60.0)
     log = run.log[25 + round(run.metrics["settling_time_s"] / 0.2) :]
     outside = log["t_s"][(log["error_true_m"] > 0.12) & log["on_straight"]]
     assert len(outside) == run.metrics["violations_true"] > 0

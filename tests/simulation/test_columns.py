@@ -1,13 +1,16 @@
 """Names of log columns and metrics: docs/log_columns.md documents each."""
 
+import itertools
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rhec
 from rhec.simulation import columns
 from rhec.simulation.metrics import METRICS
+from rhec.simulation.parts import row_of_log
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 PAGE = (Path(__file__).parents[2] / "docs/log_columns.md").read_text(encoding="utf-8")
@@ -51,6 +54,26 @@ def test_a_run_has_the_columns_that_the_page_says(run):
 def test_a_run_has_its_columns_in_this_order(run):
     made = [column for column in run.log.columns if column in columns.COLUMNS]
     assert made == columns.COLUMNS == [name for group in columns.LOG.values() for name in group]
+
+
+# {column: (signals, which entries of them it stands for)}
+FLAGS_OF_TWO = {
+    "ok": (("ok_rhe", "ok_rhc"), (0, 1)),
+    "position_accepted": (("accepted",), (0, 1)),
+    "encoders_accepted": (("accepted",), (2, 3)),
+}
+
+
+@pytest.mark.parametrize("column", FLAGS_OF_TWO)
+@pytest.mark.parametrize("both", itertools.product((0, 1), repeat=2))
+def test_a_flag_holds_where_both_that_it_stands_for_hold(column, both):
+    """Both QPs are solved, or both entries of a measurement are taken; others play no part."""
+    names, entries = FLAGS_OF_TWO[column]
+    values = np.zeros(2 if len(names) == 2 else 4)
+    values[list(entries)] = both
+    given = dict(zip(names, np.split(values, len(names))))
+    row = row_of_log(4, has_yaw_drift=False)(**given)["row"]
+    assert float(row[columns.COLUMNS.index(column)]) == all(both)
 
 
 def test_every_metric_is_documented_in_the_words_of_a_notebook(run):

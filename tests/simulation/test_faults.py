@@ -110,6 +110,15 @@ def test_latency_delivers_the_position_of_an_earlier_time(delay_s):
     )  # there is none before the first
 
 
+@pytest.mark.parametrize("delays_s", [(0.6, 0.3), (0.3, 0.6)])
+def test_of_two_latencies_the_longer_one_counts(delays_s):
+    several = [
+        Fault(kind="latency", delay_s=delay_s, start_s=10.0, duration_s=2.0) for delay_s in delays_s
+    ]
+    found = fault_signals.corrupted(Z, several, T, B)
+    np.testing.assert_array_equal(found, arriving(kind="latency", delay_s=0.6))
+
+
 def test_a_dead_encoder_measures_0():
     tracks = Z[DURING, 2, None] + B / 2 * Z[DURING, 3, None] * (-1, 1)
     for channel, alive in dict(left=(0, 1), right=(1, 0), encoders=(0, 0)).items():

@@ -9,7 +9,9 @@ from oracles import DT
 import rhec
 from rhec.core.model.robot_model import interval
 from rhec.tracked_robot import plant
+from rhec.tracked_robot.sensors import records
 from rhec.tracked_robot.slipping import SLIPPING
+from rhec.tracked_robot.speed_models import speed_model_of
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SUBSTEPS = 10
@@ -138,6 +140,23 @@ def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_
     *others, turning = (twice - rest) / np.where(once > rest, once - rest, 1)
     np.testing.assert_allclose(others, [0, 0, 4, 4], atol=1e-9)
     assert 2 < turning < 4
+
+
+def test_a_bias_that_walks_gets_as_far_in_two_short_samples_as_in_a_long_one():
+    """Its variance is σ² t, however the time t is cut."""
+    model = speed_model_of("slipping", ("gyro",)).model
+    noise = model.motion_noise
+    constants = ca.DM([*noise.constants.values()])
+    u = ca.DM.zeros(len(model.inputs))
+    short, long = (
+        np.array(noise.process(u, ca.DM.zeros(len(model.joint_names)), t, constants)).ravel()
+        for t in (0.1, 0.2)
+    )
+    bias = model.joint_names.index("gyro_bias_radps")
+    assert long[bias] == pytest.approx(2 * short[bias], rel=1e-12) and short[bias] > 0
+    (gyro,) = records(("gyro",))
+    walk = dict((unknown.name, unknown.walk) for unknown in gyro.unknowns)["gyro_bias_radps"]
+    assert short[bias] == pytest.approx(walk**2 * 0.1, rel=1e-12)
 
 
 def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():

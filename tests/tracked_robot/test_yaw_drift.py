@@ -122,6 +122,25 @@ def test_a_known_disturbance_moves_the_command_and_its_bounds():
         assert abs(float(found["command"])) <= 0.1 + 1e-12
 
 
+def test_the_live_controller_plans_with_a_disturbance_and_takes_it_off():
+    """Its plan begins with the command, within its bounds, and is as if there never was one."""
+    bound = 0.05
+    ahead_m = 0.5 * 0.9 * DT * np.arange(HORIZON + 1)
+    references = np.outer([1.0, 0.0, 0.0], ahead_m), np.zeros(HORIZON)
+    beside = np.array([0.0, 1.0, 0.5]), np.array([0.5, 0.9, 0.8])
+    disturbed, fresh = (rhec.RHC(horizon=HORIZON, omega_max=bound) for _ in range(2))
+    for d in (0.02, -0.02):
+        command = disturbed.solve(*beside, *references, disturbance=d)
+        assert command == disturbed.omega_plan[0] == pytest.approx(-bound, abs=1e-9)
+        assert (np.abs(disturbed.omega_plan) <= bound + 1e-9).all()
+    # The tracks turn by ω, and the soil as if they turned by d besides.
+    turned = np.diff(disturbed.xi_plan[2]) / DT
+    np.testing.assert_allclose(turned, 0.8 * (disturbed.omega_plan + d), atol=1e-6)
+    again = disturbed.solve(*beside, *references)
+    assert again == pytest.approx(fresh.solve(*beside, *references), abs=1e-9)
+    np.testing.assert_allclose(disturbed.omega_plan, fresh.omega_plan, atol=1e-6)
+
+
 # Soil that turns the robot by a constant amount; a quiet robot, so that nothing else does.
 SLIPPING_ASIDE = dict(
     duration_s=60.0,
