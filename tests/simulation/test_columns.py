@@ -65,7 +65,7 @@ FLAGS_OF_TWO = {
 
 
 @pytest.mark.parametrize("column", FLAGS_OF_TWO)
-@pytest.mark.parametrize("both", itertools.product((0, 1), repeat=2))
+@pytest.mark.parametrize("both", [*itertools.product((0, 1), repeat=2)])
 def test_a_flag_holds_where_both_that_it_stands_for_hold(column, both):
     """Both QPs are solved, or both entries of a measurement are taken; others play no part."""
     names, entries = FLAGS_OF_TWO[column]

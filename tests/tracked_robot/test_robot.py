@@ -155,7 +155,7 @@ def test_a_bias_that_walks_gets_as_far_in_two_short_samples_as_in_a_long_one():
     bias = model.joint_names.index("gyro_bias_radps")
     assert long[bias] == pytest.approx(2 * short[bias], rel=1e-12) and short[bias] > 0
     (gyro,) = records(("gyro",))
-    walk = dict((unknown.name, unknown.walk) for unknown in gyro.unknowns)["gyro_bias_radps"]
+    (walk,) = (each.walk for each in gyro.unknowns if each.name == "gyro_bias_radps")
     assert short[bias] == pytest.approx(walk**2 * 0.1, rel=1e-12)
 
 
