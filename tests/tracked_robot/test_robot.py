@@ -9,6 +9,7 @@ from oracles import DT
 import rhec
 from rhec.core.model.robot_model import interval
 from rhec.tracked_robot import plant
+from rhec.tracked_robot.paper_rhe import settings_of
 from rhec.tracked_robot.sensors import records
 from rhec.tracked_robot.slipping import SLIPPING
 from rhec.tracked_robot.speed_models import speed_model_of
@@ -142,21 +143,25 @@ def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_
     assert 2 < turning < 4
 
 
-def test_a_bias_that_walks_gets_as_far_in_two_short_samples_as_in_a_long_one():
-    """Its variance is σ² t, however the time t is cut."""
-    model = speed_model_of("slipping", ("gyro",)).model
-    noise = model.motion_noise
-    constants = ca.DM([*noise.constants.values()])
-    u = ca.DM.zeros(len(model.inputs))
-    short, long = (
-        np.array(noise.process(u, ca.DM.zeros(len(model.joint_names)), t, constants)).ravel()
-        for t in (0.1, 0.2)
-    )
+@pytest.mark.parametrize("speed_model", ["slipping", "input"])
+def test_a_gyro_bias_walks_as_far_in_two_short_samples_as_in_a_long_one(speed_model):
+    """Its variance is σ² t, however the time t is cut, in settings or in the noise of a model."""
+    scenario = rhec.Scenario(sensors=("gyro",), speed_model=speed_model)
+    model = speed_model_of(speed_model, ("gyro",)).model
     bias = model.joint_names.index("gyro_bias_radps")
-    assert long[bias] == pytest.approx(2 * short[bias], rel=1e-12) and short[bias] > 0
+
+    def variance(dt_s):
+        settings = settings_of(scenario, dt_s)
+        if not model.motion_noise:
+            return settings["W"][bias]
+        u = ca.DM.zeros(len(model.inputs))
+        noise = model.motion_noise.process(u, settings["W"], dt_s, settings["c"])
+        return float(noise[bias])
+
     (gyro,) = records(("gyro",))
     (walk,) = (each.walk for each in gyro.unknowns if each.name == "gyro_bias_radps")
-    assert short[bias] == pytest.approx(walk**2 * 0.1, rel=1e-12)
+    assert variance(0.1) == pytest.approx(walk**2 * 0.1, rel=1e-12)
+    assert variance(0.2) == pytest.approx(2 * variance(0.1), rel=1e-12)
 
 
 def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():
