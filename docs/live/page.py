@@ -1,10 +1,8 @@
 """Write the live page: the closed loop in the reader's browser, from files alone.
 
-    python -m docs.live.page [FOLDER]
-
-writes FOLDER/live.html and FOLDER/live/, by default into build/report. Noise, soils and sensor
-faults of each seed are data that Python computes here; the loop is WebAssembly, one module per
-structure of the loop. The page loads seeds and modules when they are first needed.
+`docs.site.report` adds live.html and live/ to the site. Noise, soils and sensor faults of each seed
+are data that Python computes here; the loop is WebAssembly, one module per structure of the loop.
+The page loads seeds and modules when they are first needed.
 """
 
 import base64
@@ -12,9 +10,7 @@ import functools
 import gzip
 import json
 import multiprocessing
-import os
 import shutil
-import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
@@ -43,7 +39,6 @@ __all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TR
 __all__ += ["TURNS", "affine_memory", "fields_of_turns", "functions_of", "seed_data", "write"]
 
 HERE = Path(__file__).parent
-REPORT = Path(__file__).resolve().parents[2] / "build/report"
 SEEDS = range(10)
 NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
 TRACTION_STEP = 1 / 65535  # of 16 bits without sign: up to 1
@@ -84,11 +79,9 @@ _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
 _OF_THE_PATH = ("padded_segments", "period_m")
 
 
-def write(folder=REPORT):
+def write(folder):
     """Write live.html and what it loads into a folder; it links the notebooks' pages there."""
-    folder.mkdir(parents=True, exist_ok=True)
     files = folder / "live"
-    shutil.rmtree(files, ignore_errors=True)
     files.mkdir()
     for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
         shutil.copy(file, files)
@@ -331,16 +324,3 @@ def _sliders():
                 groups.setdefault(title, []).append(slider)
     patch = [slider._asdict() | dict(field="patch", place=slider.key) for slider in PATCH]
     return groups | {"Last wet patch": patch}
-
-
-def _main():
-    folder = Path(sys.argv[1]) if sys.argv[1:] else REPORT
-    if not wasm.can_compile():
-        print("live page: left out, since ziglang is not installed")
-        return
-    write(folder)
-    print(f"live page: open {os.path.relpath(folder / 'live.html')}")
-
-
-if __name__ == "__main__":
-    _main()

@@ -289,15 +289,11 @@ def _figures_page(stories, captions, folder):
                 for name, place in group
             )
             text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
-    names = sorted((file.stem for file in folder.glob("*.csv")), key=_order_of_table)
+    # The tables that the paper has come first, in its order.
+    names = sorted(file.stem for file in folder.glob("*.csv"))
+    names.sort(key=lambda name: [not name.startswith(first) for first in _PAPERS_TABLES])
     tables = [f"- {{download}}`{name}.csv <figures/{name}.csv>`" for name in names]
     return "\n".join([text, "## Tables with all digits\n", *tables, ""])
-
-
-def _order_of_table(name):
-    """The tables that the paper has come first, in its order."""
-    first = [each for each in _PAPERS_TABLES if name.startswith(each)]
-    return _PAPERS_TABLES.index(*first) if first else len(_PAPERS_TABLES), name
 
 
 def _figure(file, place, caption):

@@ -44,10 +44,7 @@ def _report_lines(id_, fields):
         ValueError: If there is no such claim, or fewer than 2 fields.
     """
     if id_ not in CLAIMS:
-        merged = [into for into, claim in CLAIMS.items() if claim.mended.startswith(f"{id_} ")]
-        lists = "`make claim` without an ID lists those there are"
-        known = f"it is part of {merged[0]} now" if merged else lists
-        raise ValueError(f"claim was {id_!r}; {known}")
+        raise ValueError(f"claim was {id_!r}; `make claim` without an ID lists those there are")
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")
     claim = CLAIMS[id_]
@@ -60,8 +57,10 @@ def _report_lines(id_, fields):
         f"  test: {with_minus(claim.test)}",
         f"  verdict: {verdict}{derived}",
     ]
-    lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
-    lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
+    unit = claim.rule.unit.removeprefix("-")
+    for name, found in findings[id_].items():
+        lines.append(_line(name or "in all cases", found, unit, found.verdict))
+    lines += [_line(f"beside it: {what}", found, "", "") for what, found in beside[id_].items()]
     lines += [f"  why: {claim.why}"] if claim.why else []
     if evidence.driven_tables_of(claim.rule.by_condition.values()):
         lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
@@ -69,13 +68,11 @@ def _report_lines(id_, fields):
     return lines
 
 
-def _line(name, found, unit=""):
-    """A condition, its number with its interval, n and verdict."""
+def _line(name, found, unit, verdict):
+    """A condition, or what stands beside it: its number with its interval, n and verdict."""
     number = interval_text(found.value, found.low, found.high)
-    unit = "" if unit in ("", "-") else f" {unit}"
-    numbers = f"{number}{unit}, n = {found.n}: " if number else ""
-    judged = found.verdict if not name.startswith("beside") else ""
-    return f"    {name or 'in all cases'}: {numbers}{judged}".rstrip(": ")
+    numbers = [f"{number} {unit}".rstrip(), f"n = {found.n}"] if number else []
+    return f"    {name}: " + ": ".join(filter(None, [", ".join(numbers), verdict]))
 
 
 def main(arguments=None):

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from rhec import paper, style
-from rhec.explorer.panels import Mark, Panel, Picture, figure_of
+from rhec.explorer.panels import Mark, Panel, Picture
 from rhec.style import BLACK, COLOURS
 
 ZOOMS = ("whole path", "first row", "worst place")
@@ -45,16 +45,6 @@ _TITLES = {
 }
 
 
-def name_of(scenario):
-    """The name of the estimator in legends."""
-    return style.label_of(scenario.estimator)
-
-
-def colour_of(scenario):
-    """The colour of the estimator."""
-    return style.colour_of(scenario.estimator)
-
-
 def places_beside(poses, across_m):
     """Points (n, 2) at a distance to the left of poses (n, 3) [m]."""
     return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
@@ -69,11 +59,6 @@ def tolerance_band(poses):
 def rectangle(xlim, ylim, **look):
     """The area between these limits."""
     return Mark("area", np.repeat(xlim, 2), np.array([*ylim, *ylim[::-1]]), **look)
-
-
-def level(xlim, y, **look):
-    """A line at one height."""
-    return Mark("line", np.array(xlim), np.array([y, y]), **look)
 
 
 # Limits in coarse steps, which do not change with small changes of the data
@@ -132,7 +117,7 @@ def _map_limits(run, zoom):
     return *np.transpose(ends).tolist(), "" if zoom == "first row" else "equal"
 
 
-def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
+def picture_of(runs, pinned, zoom, soil):
     """The Picture of field runs.
 
     Args:
@@ -147,7 +132,9 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     limits = _limits(columns, bound)
     marks = {panel: _curves(first, ylim) for panel, ylim in limits.items()}
     marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **FAINT_TOLERANCE))
-    marks["yaw_rate"] += [level(time, at, **DASHED) for at in (-bound, bound)]
+    marks["yaw_rate"] += [
+        Mark("line", np.array(time), np.array([at, at]), **DASHED) for at in (-bound, bound)
+    ]
     marks["map"] = _ground(first, soil)
     drawn = [("", run, place) for place, run in enumerate(runs)]
     drawn += [("pinned ", run, place) for place, run in enumerate(pinned)]
@@ -195,12 +182,12 @@ def _ground(run, soil):
 def _series(kind, run, place):
     """Yield (panel, Mark) for each line of a run."""
     for panel, x, y, look, note in _SERIES:
-        drawn = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
+        drawn = dict(colour=style.colour_of(run.scenario.estimator)) | _LOOKS[look]
         if kind and look != "bold":
             continue
         if kind or (look == "truth" and place):
             drawn |= dict(dash=DASHED["dash"], alpha=0.6)
-        label = kind + name_of(run.scenario)
+        label = kind + style.label_of(run.scenario.estimator)
         if look == "truth":
             note = f"of {label}" if place else ""
             label = "truth"
@@ -208,8 +195,3 @@ def _series(kind, run, place):
         if panel == "kkt":
             values = median_filter(values, _KKT_SAMPLES, mode="nearest")
         yield panel, Mark("line", run.columns[x], values, label=label, note=note, **drawn)
-
-
-def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-    """The matplotlib Figure of field runs; arguments as in `picture_of`."""
-    return figure_of(picture_of(runs, pinned, zoom, soil))

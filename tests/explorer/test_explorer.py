@@ -21,10 +21,10 @@ from bs4 import BeautifulSoup
 
 import rhec
 from notebooks.rivals import RIVALS
-from rhec import paper
+from rhec import paper, style
 from rhec.core._casadi import compiled
 from rhec.explorer import controls, explorer, field_run
-from rhec.explorer.panels import packed
+from rhec.explorer.panels import figure_of, packed
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.path import Turns
 
@@ -53,6 +53,11 @@ def drawn(made):
         name: [(mark, column(*mark["x"]), column(*mark["y"])) for mark in panel["marks"]]
         for name, panel in made.screen.picture["panels"].items()
     }
+
+
+def pictured(run, zoom="whole path"):
+    """The Picture of a run alone."""
+    return field_run.picture_of([run], (), zoom, "kappa")
 
 
 # Controls and scenarios
@@ -270,7 +275,7 @@ def test_a_table_says_which_run_was_pinned_where_it_is_another(made):
     assert made.screen.table.count("− pinned<") == 2
     one, other = made.runs
     table = explorer.metrics_table([one], [other])
-    assert f"− pinned {field_run.name_of(other.scenario)}<" in table
+    assert f"− pinned {style.label_of(other.scenario.estimator)}<" in table
 
 
 def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
@@ -295,8 +300,8 @@ def test_the_table_has_each_metric_under_its_heading(made):
     headings = [" ".join(each.text.split()) for each in table.select("th")][1:]
     for row, run in zip(table.select("tr")[1:], made.runs, strict=True):
         name, *cells = (cell.text for cell in row.select("td"))
-        assert name.split()[-1] == field_run.name_of(run.scenario)
-        assert field_run.colour_of(run.scenario) in str(row)
+        assert name.split()[-1] == style.label_of(run.scenario.estimator)
+        assert style.colour_of(run.scenario.estimator) in str(row)
         for cell, heading, (metric, *_) in zip(cells, headings, explorer.METRICS, strict=True):
             step = 1e-4 if heading.startswith("mean") else of_unit[heading.split()[-1]]
             value = run.metrics[metric]
@@ -351,7 +356,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     labels = {mark["label"] for mark, *_ in panels["map"]} - {"", "path, and bounds"}
     assert labels == {"RHE", "EKF", "pinned RHE", "pinned EKF"}
     # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
-    figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
+    figure = made.figure()
     saved = {axes.get_title("left"): axes for axes in figure.axes}
     for name, panel in made.screen.picture["panels"].items():
         axes = saved[panel["title"]]
@@ -384,7 +389,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
 def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_machine):
     """And shades the time spent in curves."""
     run = rhec.simulate(replace(SHORT, duration_s=120.0))
-    _, *panels = field_run.picture_of([run]).panels.items()
+    _, *panels = pictured(run).panels.items()
     areas = {}
     dashed = {}
     for name, panel in panels:
@@ -408,7 +413,7 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
 def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
     kappa = np.random.default_rng(0).uniform(0.2, 1, (700, 40))
     terrain = rhec.Terrain(mu=kappa, kappa=kappa, origin_m=(-10.0, 3.0), cell_m=0.5)
-    (soil, *_) = field_run.picture_of([replace(made.runs[0], terrain=terrain)]).panels["map"].marks
+    (soil, *_) = pictured(replace(made.runs[0], terrain=terrain)).panels["map"].marks
     assert 200 < len(soil.x) <= 300
     i, j = ((at - first) / 0.5 for at, first in zip((soil.x, soil.y), terrain.origin_m))
     np.testing.assert_array_equal(soil.traction, kappa[np.ix_(i.astype(int), j.astype(int))])
@@ -417,7 +422,7 @@ def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
 def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
     run = replace(made.runs[0], path=path)
-    panel = field_run.picture_of([run], zoom="first row").panels["map"]
+    panel = pictured(run, "first row").panels["map"]
     ends = path.poses([0.0, 20.0])[0]
     for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):
         assert low < min(at) and max(at) < high
@@ -537,10 +542,10 @@ def test_a_lost_robot_is_drawn():
     columns |= dict.fromkeys(("error_true_m", "x_m"), 1e6 * run.columns["t_s"])
     lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
     for zoom in field_run.ZOOMS:
-        content, numbers = packed(field_run.picture_of([lost], (), zoom))
+        content, numbers = packed(pictured(lost, zoom))
         limits = [(*panel["xlim"], *panel["ylim"]) for panel in content["panels"].values()]
         assert len(numbers) and np.isfinite(limits).all()
-    field_run.field_run([lost])
+    figure_of(pictured(lost))
     assert "never" in explorer.metrics_table([lost])
 
 
