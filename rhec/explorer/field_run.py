@@ -8,8 +8,10 @@ from rhec.explorer.panels import Mark, Panel, Picture
 from rhec.style import BLACK, COLOURS
 
 ZOOMS = ("whole path", "first row", "worst place")
-DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
-FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
+_THIN = dict(width=0.5)  # other lines have a pixel; wider ones take a page five times as long
+_FAINT = dict(alpha=0.4)
+DASHED = _THIN | dict(dash=(2.4, 1.5))  # reference and bounds
+_TOLERANCE = _FAINT | dict(colour=COLOURS["tolerance"])
 
 # Names of the panels in the rows and columns of the picture.
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
@@ -25,16 +27,11 @@ _SERIES = (
     ("kappa", "t_s", "kappa", "truth", ""),
     ("kappa", "t_s", "kappa_hat", "bold", ""),
     ("yaw_rate", "t_s", "omega_cmd_radps", "bold", ""),
-    ("kkt", "t_s", "kkt_rhc", "second", "RHC"),
+    ("kkt", "t_s", "kkt_rhc", "faint", "RHC"),
     ("kkt", "t_s", "kkt_rhe", "bold", ""),
 )
 _KKT_SAMPLES = 25  # of the running median: from sample to sample it jumps by powers of ten
-_LOOKS = {
-    "bold": dict(width=0.75),  # a pixel: a page takes five times as long for wider ones
-    "second": dict(width=0.7, alpha=0.5),
-    "faint": dict(width=0.4, alpha=0.4),
-    "truth": dict(width=0.6, colour=BLACK),
-}
+_LOOKS = {"bold": {}, "faint": _THIN | _FAINT, "truth": _THIN | dict(colour=BLACK)}
 # In the words of the live page.
 _TITLES = {
     "error": "True distance from the path [m]; faint: by GNSS",
@@ -48,12 +45,6 @@ _TITLES = {
 def places_beside(poses, across_m):
     """Points (n, 2) at a distance to the left of poses (n, 3) [m]."""
     return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
-
-
-def tolerance_band(poses):
-    """Outline (2 n, 2) of the tolerance on either side of poses (n, 3) [m]."""
-    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
-    return np.concatenate([left, right[::-1]])
 
 
 def rectangle(xlim, ylim, **look):
@@ -131,7 +122,7 @@ def picture_of(runs, pinned, zoom, soil):
     bound = first.scenario.omega_max_radps
     limits = _limits(columns, bound)
     marks = {panel: _curves(first, ylim) for panel, ylim in limits.items()}
-    marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **FAINT_TOLERANCE))
+    marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **_TOLERANCE))
     marks["yaw_rate"] += [
         Mark("line", np.array(time), np.array([at, at]), **DASHED) for at in (-bound, bound)
     ]
@@ -172,9 +163,10 @@ def _ground(run, soil):
     grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
     length_m = run.path.length_m
     poses, _ = run.path.poses(np.append(np.arange(0, length_m, 0.25), length_m))
+    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
     return [
         Mark("soil", *(at[::every] for at in grid), traction=field[::every, ::every]),
-        Mark("area", *tolerance_band(poses).T, **FAINT_TOLERANCE | dict(alpha=0.5)),
+        Mark("area", *np.concatenate([left, right[::-1]]).T, **_TOLERANCE),
         Mark("line", *poses[:, :2].T, **DASHED, label="path, and bounds"),
     ]
 
@@ -186,7 +178,7 @@ def _series(kind, run, place):
         if kind and look != "bold":
             continue
         if kind or (look == "truth" and place):
-            drawn |= dict(dash=DASHED["dash"], alpha=0.6)
+            drawn |= _FAINT | dict(dash=DASHED["dash"])
         label = kind + style.label_of(run.scenario.estimator)
         if look == "truth":
             note = f"of {label}" if place else ""
