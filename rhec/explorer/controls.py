@@ -275,7 +275,7 @@ def tidy(control, value, before):
     """The value of a control without rounding errors; the previous value if it has not moved."""
     if isinstance(control, Selection):
         return value
-    if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
+    if math.isclose(value, before):
         return before
     if control.kind == "whole":
         return int(value)

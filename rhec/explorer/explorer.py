@@ -51,7 +51,7 @@ _NO_WIDGETS = (
     "Controls and pictures need the widgets of Jupyter, which this page does not show. "
     "The method figure() of the explorer draws the picture."
 )
-_DRIVERS = ThreadPoolExecutor(2)  # one for each of the two runs
+_DRIVERS = ThreadPoolExecutor()  # each of two runs has a thread
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -162,7 +162,7 @@ class Explorer(widgets.VBox):
         noise = values["process_noise"]
         self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", "158px", tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
-        self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
+        self.seed = widgets.IntText(self.start.seed, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", "142px")
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", "66px")
         self.weights = {
@@ -179,7 +179,7 @@ class Explorer(widgets.VBox):
         self.screen = Screen()
         self.patch_count = widgets.HTML()
         self.folder, self.name = (
-            widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
+            widgets.Text(value, **_look(label, None, "96%", "50px"))
             for label, value in (("folder", str(folder)), ("name", "run"))
         )
         tooltip = "CSV and Parquet of each run, the figure as PNG and PDF"

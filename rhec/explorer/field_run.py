@@ -57,8 +57,8 @@ def rectangle(xlim, ylim, **look):
 
 def round_up_to(value):
     """The smallest 0.15 · 2ⁿ, n = 0 to 11, not below the value; the largest for NaN and beyond."""
-    doublings = np.ceil(np.log2(max(value, 0.15) / 0.15)) if value < 300 else 11
-    return 0.15 * 2.0**doublings
+    doublings = np.ceil(np.log2(np.maximum(value, 0.15) / 0.15))
+    return 0.15 * 2.0 ** np.fmin(doublings, 11)
 
 
 def _common_range(columns, *names):
@@ -94,16 +94,17 @@ def _worst_place(run):
 def _map_limits(run, zoom):
     """((x, x_end), (y, y_end), scale) of a zoom."""
     path = run.path
-    points = np.reshape(path.box, (2, 2)).T
     start_m = abs(run.scenario.start_offset_m)
-    margin_m = 2.0 + start_m
+    margin_m = 2.0
     if zoom == "first row":
         margin_m = 1.1 * round_up_to(start_m)
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
         points = path.poses([0.0, end])[0][:, :2]
     elif zoom == "worst place":
         points = np.round(np.transpose(_worst_place(run)))
-        margin_m = 2.5
+    else:
+        margin_m += start_m
+        points = np.reshape(path.box, (2, 2)).T
     ends = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
     return *np.transpose(ends).tolist(), "" if zoom == "first row" else "equal"
 

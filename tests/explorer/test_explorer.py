@@ -265,9 +265,16 @@ def test_wet_patches_are_added_moved_and_removed(made):
     assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]), controls.NEW_PATCH)
     made.remove_patch.click()
     assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]),)
+    assert not made.remove_patch.disabled and not made.patch[4].disabled
     made.remove_patch.click()
     made.patch[0].value = 3.0  # without a patch it moves nothing
     assert made.runs[0].scenario == SHORT
+    assert made.remove_patch.disabled and all(slider.disabled for slider in made.patch)
+    two = ((1.0, 2.0, 3.0, 0.5, 0.6), (9.0, 1.0, 2.0, 0.6, 0.5))
+    made = rhec.Explorer(replace(SHORT, patches=two))
+    assert tuple(slider.value for slider in made.patch) == two[1]
+    made.remove_patch.click()
+    assert tuple(slider.value for slider in made.patch) == two[0]
 
 
 def test_a_table_says_which_run_was_pinned_where_it_is_another(made):
@@ -326,8 +333,9 @@ def test_pinned_runs_stay(made):
     for run, before in zip(made.runs, pinned):
         difference = run.metrics["mean_error_m"] - before.metrics["mean_error_m"]
         assert explorer.change(difference, 4) in made.screen.table
+    assert not made.unpin.disabled
     made.unpin.click()
-    assert made.screen.table.count("<tr>") == 3
+    assert made.screen.table.count("<tr>") == 3 and made.unpin.disabled
 
 
 def running_median(values, half=12):
@@ -406,6 +414,7 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
     bound = paper.OMEGA_MAX_RADPS
     limit = dict(panels)["yaw_rate"].ylim[1]
     assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
+    assert all(1 < dict(panels)[name].ylim[1] < 1.1 for name in ("mu", "kappa"))
     *_, tolerance = areas["error"]
     assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)
 
@@ -460,6 +469,14 @@ def test_every_picture_is_complete(made, zoom):
             assert n == (len(x) * len(y) if mark["kind"] == "soil" else 0)
             assert mark["kind"] == "soil" or len(x) == len(y)
             assert mark["colour"] != "#000000"  # it would not be seen on a dark page
+            # Lines wider than a pixel would take a page five times as long.
+            assert mark["kind"] != "line" or mark["width"] <= 1
+            assert mark["radius"] == mark["width"] / 2
+        (ring,) = [place for mark, *place in drawn(made)["map"] if mark.get("full") is False]
+    if zoom == "worst place":
+        panel = picture["panels"]["map"]
+        for (low, high), at in zip((panel["xlim"], panel["ylim"]), ring):
+            assert low + 1 < at < high - 1 and high - low < 6
     assert [mark["label"] for mark in picture["legend"]]
 
 
@@ -554,10 +571,11 @@ def test_a_lost_robot_is_drawn():
 
 def test_runs_and_figure_are_saved(made, tmp_path):
     made.pin.click()
-    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper")
-    made.save.click()
-    assert "saved" in made.screen.status
-    stem = tmp_path / "deeper" / "wet_row-1"
+    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper/still")
+    for _ in range(2):
+        made.save.click()
+        assert "saved" in made.screen.status
+    stem = tmp_path / "deeper/still/wet_row-1"
     files = {*stem.parent.iterdir()}
     for run, name in zip(made.runs, ("1_rhe", "2_ekf"), strict=True):
         csv, parquet = (stem.with_name(f"{stem.name}_{name}.{kind}") for kind in ("csv", "parquet"))
@@ -664,12 +682,17 @@ def test_every_widget_is_on_the_screen(made):
 
 
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
-    optimised = []
+    optimised, begun = [], []
     monkeypatch.setattr(
         explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
     )
+    with monkeypatch.context() as patch:  # the first loops compile while the widgets are made
+        patch.setattr(explorer.early, "begin", lambda build, of: begun.append(len(of)))
+        patch.setattr(rhec.Explorer, "_make_inputs", lambda *given: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            rhec.Explorer(SHORT)
     rhec.Explorer(SHORT)
-    assert optimised == []
+    assert optimised == [] and begun == [2]
     said = []
     monkeypatch.setattr(made, "_show_status", lambda text, *kind: said.append(text))
     made.inputs["r"].value = 20.0
