@@ -100,12 +100,11 @@ def ledger(findings, looks, beside, shares, claims=CLAIMS):
     return table
 
 
-def coverages(tables, trials=2000):
+def coverages(tables):
     """How often the intervals behind the ledger cover the truth, by resampling.
 
     Args:
         tables: The evidence, of `evidence.collect`.
-        trials: Of each statistic.
 
     Returns:
         DataFrame, one row a process noise and a statistic of RUNS' metrics.
@@ -122,7 +121,7 @@ def coverages(tables, trials=2000):
             # Unequal tables are cut to the seeds that both have.
             found = [tables[process_noise, "runs", id_][metric] for id_ in ids]
             n = min(map(len, found))
-            share = coverage(statistic, *(values[:n] for values in found), trials=trials)
+            share = coverage(statistic, *(values[:n] for values in found))
             about = dict(statistic=statistic.__name__, runs=" ".join(ids), metric=metric)
             rows.append(about | dict(process_noise=process_noise, n=n, coverage=share))
     return pd.DataFrame(rows)
