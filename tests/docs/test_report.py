@@ -4,6 +4,7 @@ tests/browser/test_report.py looks at the report that `make report` has built.
 """
 
 import hashlib
+import inspect
 import re
 from base64 import b64encode
 from fnmatch import fnmatch
@@ -174,10 +175,62 @@ def test_the_reference_has_all_public_names():
     assert "   logs.read\n" in text and "`rhec.WORLDS`" in text
 
 
-def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsewhere(tmp_path):
-    (tmp_path / "index.md").write_text("# One\n")
-    site = tmp_path / "site"
-    Sphinx(tmp_path, ROOT / "docs", site, tmp_path / "doctrees", "html", status=None).build()
+PAGE = r"""# One
+
+$\mu$
+
+$$\kappa = 1$$
+
+| a |
+|---|
+| 1 |
+
+```{toctree}
+two
+```
+
+```{eval-rst}
+.. autoclass:: rhec.Fault
+```
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A site of a page, of which the reference is a part, and of a notebook."""
+    source = tmp_path_factory.mktemp("source")
+    (source / "index.md").write_text(PAGE)
+    streams = [("stdout", "said\n"), ("stderr", "warned\n"), ("stdout", "more\n")]
+    said = [v4.new_output("stream", name=name, text=text) for name, text in streams]
+    cells = [v4.new_markdown_cell("# Two"), v4.new_code_cell("print(1)", outputs=said)]
+    python = dict(language_info=dict(name="python", pygments_lexer="python"))
+    nbformat.write(v4.new_notebook(cells=cells, metadata=python), source / "two.ipynb")
+    site = source.parent / "site"
+    Sphinx(source, ROOT / "docs", site, source.parent / "doctrees", "html", status=None).build()
+    return site
+
+
+def test_a_page_has_formulas_types_and_outputs_that_all_can_read(site):
+    page, notebook = (
+        BeautifulSoup((site / name).read_text(), "html.parser")
+        for name in ("index.html", "two.html")
+    )
+    assert [formula["display"] for formula in page.select("math")] == ["inline", "block"]
+    signature = " ".join(page.select_one("dt.sig").get_text().split())
+    assert "start_s: float = 0.0, duration_s: float = 1" in signature  # without Annotated
+    assert len(page.select("dl[role=list] > dd[role=listitem]")) == 1 + len(
+        inspect.signature(rhec.Fault).parameters
+    )
+    scrolled = [
+        part.select("pre, .table-wrapper, .cell_output, div.math") for part in (page, notebook)
+    ]
+    assert all(part["tabindex"] == "0" for part in sum(scrolled, [])) and all(scrolled)
+    assert [part.get_text() for part in notebook.select("pre")] == ["print(1)\n", "said\nmore\n"]
+    # A page from the disk can read no other.
+    assert "SHOW_SEARCH_SUMMARY: false" in (site / "_static/documentation_options.js").read_text()
+
+
+def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsewhere(site):
     built = (site / "index.html").read_text()
     assert not list(site.glob("_sources/index*")) and not (site / "genindex.html").exists()
     assert "_sources" not in built

@@ -471,6 +471,21 @@ def test_what_follows_from_the_papers_own_numbers_is_as_by_hand(id_, number, ver
     assert found.value == pytest.approx(number, abs=1e-12) and found.verdict == verdict
 
 
+def test_the_published_ledger_has_the_words_and_conditions_of_the_claims():
+    """All that no evidence changes; `make studies` writes it anew."""
+    published = pd.read_csv(RESULTS / "claims.csv", dtype=str, keep_default_na=False)
+    assert [*published["id"]] == [*ledger.CLAIMS]
+    for row in published.to_dict("records"):
+        claim = ledger.CLAIMS[row["id"]]
+        ours = claim._asdict() | claim.rule._asdict()
+        words = {name: str(of) for name, of in ours.items() if name in row and name != "beside"}
+        assert {name: row[name] for name in words} == words
+        said = [part.rpartition(": ")[0] for part in row["conditions"].split("; ")]
+        assert [name.strip(":") for name in said] == [*claim.rule.by_condition]
+        beside = [part.rpartition(": ")[0] for part in row["beside"].split("; ") if part]
+        assert beside == [*claim.beside]
+
+
 def test_the_paper_s_values_are_those_of_the_package():
     says = {id_: claim.rule.paper for id_, claim in ledger.CLAIMS.items()}
     values = dict(B3=paper.MEAN_ERROR_RHE_M, B4=paper.MEAN_ERROR_EKF_M, B9=paper.VIOLATIONS_EKF)
