@@ -35,9 +35,6 @@ from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.references import padded_segments
 from rhec.tracked_robot.sensors import SENSORS
 
-__all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
-__all__ += ["TURNS", "affine_memory", "fields_of_turns", "functions_of", "seed_data", "write"]
-
 HERE = Path(__file__).parent
 SEEDS = range(10)
 NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
@@ -68,12 +65,13 @@ STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
 # What scripts need of a step of the story; its template has the rest.
 _TOLD = ("told", "right", "wrong", "idle", "run")
 # Parameters of Scenario that have sliders; none of them changes the structure of the loop.
-_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
-_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
-_FIELDS |= {"gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "encoder_sigma_mps"}
-_FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_difference"}
+_FIELDS = set(
+    "q r look_ahead_m omega_max_radps sigma_w sigma_v duration_s start_offset_m start_yaw_rad "
+    "speed_mps rotation_centre_m gnss_sigma_m gnss_slow_share gnss_slow_time_s encoder_sigma_mps "
+    "speed_sigma_mps bump_sigma_radps rut_length_m slip_difference".split()
+)
 # Parameters of Scenario in which the loop's first memory is affine.
-_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
+_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=paper.SPEED_MPS)
 # Settings of the loop that come with the soil.
 _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
 _OF_THE_PATH = ("padded_segments", "period_m")
@@ -95,7 +93,7 @@ def write(folder):
         data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
         data["tools"] = tools.result()
     for name, content in data.items():
-        text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(content, separators=(",", ":"))
         (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True

@@ -106,7 +106,11 @@ def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
     n = len(run.log)
     shape = common_shape(setup.terrain)
     built = functions.build_functions(scenario, shape)
-    (tmp_path / "code.c").write_text(functions.c_text(built), encoding="utf-8")
+    text = functions.c_text(built)
+    room = {name: int(n) for name, n in re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M)}
+    assert room["memory"] == (functions.MAX_SAMPLES + 1) * len(setup.memory)  # the first one, too
+    assert room["length_m"] == 1 and room["row"] >= functions.MAX_SAMPLES * len(COLUMNS)
+    (tmp_path / "code.c").write_text(text, encoding="utf-8")
     options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
     subprocess.run([compiled.compiler(), *options], cwd=tmp_path, check=True)
     library = ctypes.CDLL(str(tmp_path / "code.so"))
@@ -157,6 +161,8 @@ def test_the_line_that_is_drawn_is_the_path_in_equal_steps(turns):
     line = np.array(field["path"])
     distances, _ = path.project(line)
     assert distances.max() < 1e-3  # it is rounded to a millimetre
+    ends = line.min(axis=0), line.max(axis=0)
+    np.testing.assert_allclose([field["lowest"], field["highest"]], ends, atol=0.02)
     steps = np.hypot(*np.diff(line, axis=0, append=line[:1]).T)
     assert 0.97 * field["path_step_m"] < steps.min() and steps.max() < 1.003 * field["path_step_m"]
     assert len(line) * field["path_step_m"] == pytest.approx(path.length_m)

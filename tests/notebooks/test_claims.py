@@ -394,12 +394,6 @@ def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_ne
         assert (row.condition, row.other_condition) == (conditions[0], other)
 
 
-def test_what_the_paper_compares_is_judged_by_every_rule_for_w():
-    for id_ in "B3 B4 B5 B6 B7 B9 B10 B16 S4".split():
-        conditions = list(ledger.CLAIMS[id_].rule.by_condition)
-        assert conditions[:4] == [*statistics.CONDITIONS.values()], id_
-
-
 def test_a_rival_has_the_rhes_w_where_none_was_tuned_for_it():
     for id_, entries in (("no_slip", 4), ("fixed_traction", 4), ("bounded_ekf", 6)):
         for rule in statistics.CONDITIONS:

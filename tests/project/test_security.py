@@ -19,14 +19,6 @@ def test_files_of_an_export_name_their_licence():
         assert re.search("SPDX-License-Identifier: MIT", file.read_text()), file.name
 
 
-def test_the_threat_model_names_tests_that_exist():
-    text = (ROOT / "docs/threat_model.md").read_text()
-    named = re.findall(r"`(tests/\S+)`", text)
-    assert named
-    for path in named:
-        assert (ROOT / path).exists(), path
-
-
 def test_helpers_of_casadi_in_an_export_are_under_the_licence_that_is_named(tmp_path):
     """Only one of them, of three lines, has no licence of its own."""
     folder = rhec.export(rhec.Scenario(duration_s=4), tmp_path / "c")
