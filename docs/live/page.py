@@ -13,7 +13,6 @@ import multiprocessing
 import shutil
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields
 from pathlib import Path
 
 import jinja2
@@ -218,10 +217,7 @@ def _places(setup):
 
 def _world():
     """What all runs have in common, and the controls."""
-    start = Scenario()
-    defaults = {field.name: getattr(start, field.name) for field in fields(start)}
-    # The line of Python leaves out what has its default.
-    defaults |= dict(faults=())
+    defaults = vars(Scenario())  # the line of Python leaves them out
     return dict(
         fields=fields_of_turns(),
         turns=TURNS,

@@ -99,6 +99,19 @@ def test_errors_are_those_of_the_run(turns, own):
     assert np.sign(found["left_m"][0]) == np.sign(run.scenario.start_offset_m)
 
 
+def compiled_text(text, folder):
+    """The library of a C text, and a function from an array's name and length to its numbers."""
+    (folder / "code.c").write_text(text, encoding="utf-8")
+    options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
+    subprocess.run([compiled.compiler(), *options], cwd=folder, check=True)
+    library = ctypes.CDLL(str(folder / "code.so"))
+
+    def array(name, length):
+        return np.ctypeslib.as_array((ctypes.c_double * length).in_dll(library, f"at_{name}"))
+
+    return library, array
+
+
 def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
     scenario = rhec.Scenario(duration_s=20.0, turns="left")
     setup = closed_loop.set_up(scenario)
@@ -110,14 +123,7 @@ def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
     room = {name: int(n) for name, n in re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M)}
     assert room["memory"] == (functions.MAX_SAMPLES + 1) * len(setup.memory)  # the first one, too
     assert room["length_m"] == 1 and room["row"] >= functions.MAX_SAMPLES * len(COLUMNS)
-    (tmp_path / "code.c").write_text(text, encoding="utf-8")
-    options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
-    subprocess.run([compiled.compiler(), *options], cwd=tmp_path, check=True)
-    library = ctypes.CDLL(str(tmp_path / "code.so"))
-
-    def array(name, length):
-        return np.ctypeslib.as_array((ctypes.c_double * length).in_dll(library, f"at_{name}"))
-
+    library, array = compiled_text(text, tmp_path)
     noise = plant.draw_noise(scenario.seed, n)
     given = setup.settings | dict(length_m=setup.path.length_m, noise=noise.T)
     given |= dict(memory=setup.memory)
@@ -352,6 +358,23 @@ def test_the_storys_other_filters_begin_at_the_loops_guess(taken_apart):
     P = found["kalman"][6:42].reshape(6, 6)
     assert [*found["kalman"][:6]] == [*guess]
     np.testing.assert_allclose(P, setup.unpack(setup.memory)["estimator"]["P"])
+
+
+def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path):
+    tools, setup, memory, z, _ = taken_apart
+    some = {name: tools[name] for name in ("shift", "reckon")}
+    library, array = compiled_text(window.c_text(some), tmp_path)
+    given = dict(memory=memory, pose=[1.0, 2.0, 0.3], z_N=z[3])
+    given |= {name: setup.settings[name] for name in ("V", "W")}
+    for which, (name, function) in enumerate(some.items()):
+        for of in function.name_in():
+            array(f"{name}_{of}", function.nnz_in(of))[:] = given[of]
+        assert library.run(which) == 0
+        results = function(**{of: given[of] for of in function.name_in()})
+        for of, expected in results.items():
+            found = array(f"{name}_new_{of}", function.nnz_out(of))
+            np.testing.assert_allclose(found, expected.nonzeros(), atol=1e-12)
+    assert library.run(len(some)) == 1
 
 
 def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):

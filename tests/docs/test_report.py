@@ -99,6 +99,11 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
+    assert cell.metadata["tags"] == ["hide-input"]
+    shown = nbformat.read(executed, 4)
+    shown.metadata["rhec"] = dict(code="open")
+    report._prepare(shown)
+    assert "tags" not in shown.cells[1].metadata
 
 
 def test_on_the_site_verdicts_have_colours_and_lead_to_their_cards(tmp_path):
