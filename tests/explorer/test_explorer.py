@@ -2,15 +2,10 @@
 sentence where something cannot be.
 """
 
-import json
-import os
 import re
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import ipywidgets
@@ -22,7 +17,6 @@ from bs4 import BeautifulSoup
 import rhec
 from notebooks.rivals import RIVALS
 from rhec import paper, style
-from rhec.core._casadi import compiled
 from rhec.explorer import controls, explorer, field_run
 from rhec.explorer.panels import figure_of, packed
 from rhec.tracked_robot import tuning
@@ -585,48 +579,9 @@ def test_runs_and_figure_are_saved(made, tmp_path):
     assert files == {stem.with_suffix(".pdf"), stem.with_suffix(".png")}
 
 
-# Counts what a new user waits for: loops whose C is made, calls of the compiler, modules.
-FIRST_VIEW = """
-import json, sys
-import rhec
-from rhec.core._casadi import compiled
-from rhec.core.controller import rhc
-
-made = []
-
-def counted(function):
-    def call(*arguments, **named):
-        made.append(function.__name__)
-        return function(*arguments, **named)
-    return call
-
-compiled.library_text = counted(compiled.library_text)
-rhc.build_phases = counted(rhc.build_phases)
-compiled.run_compiler = counted(compiled.run_compiler)
-explorer = rhec.Explorer(rhec.Scenario(duration_s=20.0))
-bundle = explorer._repr_mimebundle_()
-assert explorer.screen.table in bundle["text/html"]
-assert "figure()" in bundle["text/html"] and "<img" not in bundle["text/html"]
-assert set(explorer.screen.picture["panels"]) == {"map", "error", "mu", "kappa", "yaw_rate", "kkt"}
-print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
-"""
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
-    """Nor does either import Matplotlib."""
-    environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
-    environment.pop("RHEC_UNATTENDED", None)
-    command = [sys.executable, "-c", FIRST_VIEW]
-    root = Path(rhec.__file__).parents[1]
-    first, second = (
-        json.loads(subprocess.check_output(command, env=environment, cwd=root)) for _ in range(2)
-    )
-    loops = ["library_text", "library_text", "run_compiler", "run_compiler"]
-    assert first == dict(made=["build_phases", *loops], drawn=False)
-    assert second == dict(made=[], drawn=False)
-    assert len([*tmp_path.glob("*/library.so")]) == 2
+def test_a_page_without_widgets_has_the_table_and_says_how_to_draw(made):
+    html = made._repr_mimebundle_()["text/html"]
+    assert made.screen.table in html and "figure()" in html and "<img" not in html
 
 
 @pytest.mark.parametrize("name, entries", [("sigma_w", 6), ("sigma_v", 4)])

@@ -231,13 +231,3 @@ def test_help_has_an_example_of_each_command_and_every_field_that_it_takes(capsy
         assert f" --{option} " in text["export"]
     for option in ("mu-mean", "gnss-sigma-m", "seed"):
         assert f" --{option} " not in text["export"]
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch, shell):
-    monkeypatch.setenv("HOME", str(tmp_path))
-    script = tmp_path / "script"
-    assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
-    words = "kappa-mean track-width-m process-noise soft_soil bounded_ekf prepared_anew".split()
-    assert all(word in script.read_text() for word in words)
-    assert re.search("wet.* patches", script.read_text())

@@ -159,20 +159,3 @@ def test_no_result_on_recorded_robots_is_written_by_hand():
     of_code = {transfer.NOISE_M, transfer.YAW_ERROR_RAD, scores.Z_95, UNSURE_YAW_RAD}
     of_code |= {scores.BAD_RAD, scores.GOOD_RAD, verdicts.BAD_RAD, verdicts.FAR_KAPPA}
     assert {float(number) for number in re.findall(r"\d+\.\d+", page)} <= of_code
-
-
-def test_the_first_screen_is_short_and_has_its_caveat_before_its_answer():
-    lines = TEXT["README.md"].splitlines()
-    answer = lines.index("<!-- results answer -->")
-    end = lines.index("<!-- end -->")
-    assert end <= 40
-    before = " ".join(lines[:answer])
-    assert "field data of the paper were never published" in before
-    assert "soil that was chosen so that the paper's numbers are possible" in before
-    assert len(lines) <= 100 and all(len(line) <= 100 for line in lines if line[:1] != "|")
-    assert "make figures" in before and "make test" in before and before.count("<img") == 1
-    (sentence,) = re.findall(r"(?ms)^\*\*.*?\*\*$", "\n".join(lines[answer:end]))
-    assert sentence.count(". ") == 0 and sentence.endswith(".**")
-    rows = [line for line in lines[answer:end] if line.startswith("| ")]
-    assert [cell.strip() for cell in rows[0].split("|")[2:4]] == ["the paper", "W as printed"]
-    assert 6 <= len(rows) - 2 <= 7

@@ -303,6 +303,9 @@ def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_the
 
 @pytest.mark.nightly
 def test_a_run_needs_neither_tables_nor_pictures_nor_campaigns():
-    loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
+    scenario = "rhec.Scenario(estimator='oracle', duration_s=1.0)"
+    loaded = modules_after(f"rhec.simulate({scenario})")
     assert loaded.isdisjoint({"pandas", "matplotlib", "loky", "IPython", "notebooks"})
     assert not [name for name in loaded if "campaigns" in name or "lanes" in name]
+    # The browser draws the explorer.
+    assert "matplotlib" not in modules_after(f"rhec.Explorer({scenario}, against=None)")
