@@ -264,11 +264,11 @@ def test_wet_patches_are_added_moved_and_removed(made):
     made.patch[0].value = 3.0  # without a patch it moves nothing
     assert made.runs[0].scenario == SHORT
     assert made.remove_patch.disabled and all(slider.disabled for slider in made.patch)
-    two = ((1.0, 2.0, 3.0, 0.5, 0.6), (9.0, 1.0, 2.0, 0.6, 0.5))
-    made = rhec.Explorer(replace(SHORT, patches=two))
-    assert tuple(slider.value for slider in made.patch) == two[1]
-    made.remove_patch.click()
-    assert tuple(slider.value for slider in made.patch) == two[0]
+    several = tuple((x_m, 1.0, 2.0, 0.6, 0.5) for x_m in (9.0, 3.0, 5.0))
+    made = rhec.Explorer(replace(SHORT, patches=several))
+    for patch in several[::-1]:
+        assert tuple(slider.value for slider in made.patch) == patch
+        made.remove_patch.click()
 
 
 def test_a_table_says_which_run_was_pinned_where_it_is_another(made):
