@@ -247,13 +247,19 @@ class Explorer(widgets.VBox):
         return callback
 
     @contextmanager
-    def _single_refresh(self):
-        """A context for changes of several controls, followed by one run."""
+    def _paused(self):
+        """A context for changes of controls that no run follows."""
         self.is_paused = True
         try:
             yield
         finally:
             self.is_paused = False
+
+    @contextmanager
+    def _single_refresh(self):
+        """A context for changes of several controls, followed by one run."""
+        with self._paused():
+            yield
         self._refresh()
 
     def _set_weights(self, q):
@@ -352,9 +358,8 @@ class Explorer(widgets.VBox):
                 slider = self.inputs[name, place]
                 slider.disabled = rule != "custom"
                 if slider.disabled:
-                    self.is_paused = True  # no run follows this change
-                    slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
-                    self.is_paused = False
+                    with self._paused():
+                        slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
 
     def _fold_sensors(self):
         """Hide the sliders of sensors that the robot does not have."""

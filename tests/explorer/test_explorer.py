@@ -601,6 +601,10 @@ def test_sliders_of_noise_show_the_noise_in_use(made, name, entries):
     assert getattr(made.runs[0].scenario, name)[-1] == 0.1
     made.process_noise.value = "prediction"
     assert made.runs[0].scenario.sigma_v is made.runs[0].scenario.sigma_w is None
+    own = rhec.Explorer(replace(SHORT, **{name: shown}), against=None)
+    assert not own.inputs[name, 0].disabled
+    own.inputs["r"].value = 20.0
+    assert own.runs[0].scenario.r == 20.0 and getattr(own.runs[0].scenario, name) == shown
 
 
 def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
