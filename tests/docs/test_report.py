@@ -12,6 +12,7 @@ from pathlib import Path
 
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
 from matplotlib.figure import Figure
@@ -22,26 +23,30 @@ from sphinx.application import Sphinx
 import rhec
 from docs.site import report
 from docs.site.content_policy import with_policy
+from notebooks.studies import answer
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
-DRAWN = ("fig99_line", "fig05_dot", "square")
+DRAWN = ("fig99_line", "fig05_dot", "square", "alone")
+TABLES = {"a_table.csv", "table1_times.csv"}
 
 
 @pytest.fixture
 def executed(tmp_path):
     """A notebook that saved a figure, as the runner leaves it."""
-    saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "table_one", "One")'
+    saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "a_table", "One")'
     dots = {"image/png": b64encode(b"dots").decode(), "text/html": "<img>", "text/plain": "Figure"}
-    more = v4.new_code_cell(
-        'style.save(figure, "fig05_dot")\nstyle.save(figure, "square")',
-        outputs=[v4.new_output("display_data", dots)],
-    )
+    drawn = v4.new_output("display_data", dots)
+    save = 'style.save(figure, "fig05_dot")\nstyle.save(figure, "square")'
+    more = v4.new_code_cell(save, outputs=[drawn])
+    alone = 'style.save(figure, "alone")\nstyle.save_table(table, "table1_times", "Times")'
+    claim = v4.new_output("display_data", {"text/html": "<td>B6</td><td>B66</td>"})
+    last = v4.new_code_cell(alone, outputs=[drawn, claim])
     widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
     cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
-    cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
+    cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more, last]
     record = dict(start_time="2026-11-28T09:15:00.123", duration=12.345, parameters=dict(seeds=3))
     metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}}, papermill=record)
     nbformat.write(v4.new_notebook(cells=cells, metadata=metadata), file)
@@ -53,8 +58,9 @@ def figures(tmp_path):
     """A folder with what that notebook saved, and with a person's own files."""
     folder = tmp_path / "figures"
     for name in DRAWN:
-        style.save(Figure(), name, folder=folder)
-    for name in ("table_one.csv", "mine.csv", "private.txt", "broken.png"):
+        width_in = style.COLUMN_IN if name == "square" else style.DOUBLE_IN
+        style.save(Figure(figsize=(width_in, 2)), name, folder=folder)
+    for name in (*TABLES, "mine.csv", "private.txt", "broken.png"):
         (folder / name).write_bytes("ä".encode("latin-1"))
     return folder
 
@@ -77,16 +83,23 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}
     drawn = {f"{name}.{kind}" for name in DRAWN for kind in ("png", "pdf")}
-    assert published - of_pages == {*drawn, "table_one.csv"}
+    assert published == {*drawn, *TABLES} | of_pages
     page = (source / "figures.md").read_text()
-    assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    assert "**Figure 99.** A line, named." in page
+    # The paper's figures and tables come first; one as wide as a column stands beside others.
+    order = ["## The paper", "fig05_dot.png", "fig99_line.png", "## One", "square.png", "alone.png"]
+    places = [page.index(each) for each in (*order, "table1_times.csv", "a_table.csv")]
+    assert places == sorted(places)
+    assert page.count(":figclass: wide") == 3 and page.count("\n## ") == 3
     assert "leave each as PNG and PDF in `figures/`" in page
     provenance = (source / "provenance.md").read_text()
     for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
         assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
     run = "[03_scenario_a](notebooks/03_scenario_a.ipynb) | 2026-11-28 09:15:00 | 12.3 | seeds = 3"
     assert f"| {run} |" in provenance
-    assert all(f"licences/{package}.txt" in provenance for package in report.SHOWN)
+    for package in report.SHOWN:
+        assert f"licences/{package}.txt" in provenance
+        assert (source / f"licences/{package}.txt").read_text() == report.licence(package)
     parameters = (source / "parameters.md").read_text()
     assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
     # A picture of the paper that has another caption is numbered by its name, others are not.
@@ -96,14 +109,26 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert "widgets" not in laid_out.metadata  # their state, which needs a kernel
     cells = laid_out.cells
     assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
+    picture, table = (output.data for output in cells[4].outputs)
+    assert re.fullmatch(r"!\[.*\]\(../figures/alone.png\)", picture["text/markdown"])
+    assert table["text/html"] == '<td><a href="../claims.html#B6">B6</a></td><td>B66</td>'
     cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
     assert cell.metadata["tags"] == ["hide-input"]
+    assert len(re.findall("(?m)^<section class=.claim.", (source / "claims.md").read_text())) > 80
     shown = nbformat.read(executed, 4)
     shown.metadata["rhec"] = dict(code="open")
     report._prepare(shown)
     assert "tags" not in shown.cells[1].metadata
+
+
+def test_the_cards_are_of_the_ledger_that_was_made_last(executed, figures, tmp_path):
+    claims = pd.read_csv(answer.RESULTS / "claims.csv")
+    claims.head(3).to_csv(figures / "claims.csv", index=False)
+    report._lay_out(tmp_path / "source", [executed], figures, live=False)
+    page = (tmp_path / "source/claims.md").read_text()
+    assert re.findall('section class="claim" id="(.*?)"', page) == [*claims["id"].head(3)]
 
 
 def test_on_the_site_verdicts_have_colours_and_lead_to_their_cards(tmp_path):
@@ -139,7 +164,7 @@ def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
 
 def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monkeypatch, capsys):
     """Its pictures are smaller ones, its pages have their policy, and it says what it does."""
-    old = tmp_path / "below/report"
+    old = tmp_path / "far/below/report"
     made = []
 
     class Builder:

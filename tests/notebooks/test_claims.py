@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import re
 from operator import ge, le
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -1246,6 +1247,17 @@ def test_constant_arrival_costs_are_around_the_mean_of_the_adaptive_one(monkeypa
     for name in ("adaptive", "heavy", "light", "none"):
         # These estimates are lost, and change by one at each sample.
         assert row[f"step_{name}"] == 1 and row[f"lost_{name}"] and row[f"reached_s_{name}"] == 8
+
+
+def test_arrival_costs_are_those_of_each_field_with_its_own_covariance(monkeypatch):
+    runs = [SimpleNamespace(log=f"log {seed}") for seed in (4, 7)]
+    P = [dict(covariance=share * np.ones((2, 6, 6)) + np.eye(6)) for share in (0.0, 1.0)]
+    monkeypatch.setattr(experiments, "simulate", lambda scenarios: runs)
+    monkeypatch.setattr(experiments, "run_estimator_on_all", lambda scenario, runs, of: P)
+    monkeypatch.setattr(experiments, "_arrival_cost", lambda noise, log: dict(of=f"{noise}, {log}"))
+    found = experiments._arrival_costs("tracking", [4, 7])
+    assert [*found["of"]] == ["tracking, log 4", "tracking, log 7"]
+    assert [*found["sigma_mu_left"]] == [1, 1]
 
 
 def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes(virtual_machine):
