@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import re
-import subprocess
 from pathlib import Path
 
 import pandas as pd
@@ -63,14 +62,6 @@ def test_every_program_that_is_named_exists():
     assert "notebooks.studies.calibration" in modules and "tests/engine_costs.py" in files
     assert [each for each in modules if importlib.util.find_spec(each) is None] == []
     assert [each for each in files if not (ROOT / each).exists()] == []
-
-
-def test_pictures_and_links_of_the_readme_are_in_git():
-    links = [link for link in re.findall(r"\]\(([^)#]+)", TEXT["README.md"]) if "://" not in link]
-    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
-    if tracked.returncode:
-        pytest.skip("not a git checkout")
-    assert set(links) <= set(tracked.stdout.splitlines())
 
 
 def test_every_notebook_make_target_and_public_name_that_is_named_exists():
