@@ -6,6 +6,7 @@ import collections
 import dataclasses
 import functools
 import re
+import time
 from operator import ge, le
 from types import SimpleNamespace
 
@@ -44,6 +45,7 @@ ONES = np.ones(200)
 SHARES = np.arange(200)
 SHORT = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
 WEIGHTS = (1, 1, 0), (1, 1, 5)
+PUBLISHED = pd.read_csv(RESULTS / "claims.csv").set_index("id")
 
 
 # Rules
@@ -763,8 +765,7 @@ def test_every_claim_about_driving_is_judged_in_a_world(run, monkeypatch):
     monkeypatch.setattr(run_sets, "measure", measure)
     world = dict(speed_mps=0.4, duration_s=50.0, process_noise="printed", q=(9.0, 9.0, 9.0))
     verdicts = worlds.judge(ledger.CLAIMS, [world], 2)
-    published = pd.read_csv(RESULTS / "claims.csv").set_index("id")["posterior"]
-    assert {*verdicts} == {*published.dropna().index}
+    assert {*verdicts} == {*PUBLISHED["posterior"].dropna().index}
     for (kind, id_, whole), (one, other) in asked.items():
         # Its own length is that of claims on the paper's two estimators alone.
         rows = one.mu_mean * one.speed_mps * one.duration_s / one.row_length_m
@@ -864,10 +865,9 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeyp
     monkeypatch.setattr(command, "CLAIMS", ledger.CLAIMS | {"Z1": new})
     command.main([])
     lines = capsys.readouterr().out.splitlines()
-    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, command.CLAIMS.items(), strict=True):
         assert line.split()[0] == id_ and claim.claim in line
-        assert line.endswith(f"  {verdicts.get(id_, 'not judged yet')}")
+        assert line.endswith(f"  {PUBLISHED['verdict'].get(id_, 'not judged yet')}")
 
 
 # Refusals
@@ -1104,13 +1104,18 @@ def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine
     _, findings, beside, looks = evidence.collect(claims, [1000])
     columns = ["value", "low", "high", "n", "verdict", "confidence", "beside"]
     found = ledger.ledger(findings, looks, beside, {}, claims).set_index("id")[columns]
-    published = pd.read_csv(RESULTS / "claims.csv").set_index("id").loc[[*claims], columns]
+    published = PUBLISHED.loc[[*claims], columns]
     pd.testing.assert_frame_equal(found.replace("", np.nan), published, rtol=1e-6, atol=1e-9)
 
 
 def test_each_field_of_the_arrival_costs_is_driven_once():
     tasks = experiments._tasks("prediction", "arrival_cost", 300)
     assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
+    for name, fewest in (("arrival_cost", [0, 1]), ("iterations", [0, 1])):
+        tasks = experiments._tasks("printed", name, 10)
+        seeds = np.ravel([task.args[-1] for task in tasks])
+        assert [*seeds] == fewest and all(task.args[0] == "printed" for task in tasks)
+    assert len(experiments._tasks("printed", "iterations", 100)) == 4
 
 
 def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch):
@@ -1132,6 +1137,18 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     assert found == pytest.approx(expected)
 
 
+def test_one_iteration_a_sample_is_the_run_that_is_simulated(virtual_machine):
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
+    begin = time.perf_counter()
+    distance_m, taken_s, problems, commands = experiments.live(scenario, 1)
+    took_s = time.perf_counter() - begin
+    columns = rhec.simulate(scenario).columns
+    np.testing.assert_allclose(commands, columns["omega_cmd_radps"], atol=1e-9)
+    np.testing.assert_allclose(distance_m, columns["error_true_m"], atol=1e-9)
+    assert len(problems) == len(taken_s) == 40
+    assert (taken_s > 0).all() and taken_s.sum() < took_s
+
+
 def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
     """Its first, where the previous estimate is the newest one; a warm one may be converged."""
     scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
@@ -1149,8 +1166,13 @@ def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
 
 def test_a_step_is_in_time_if_all_of_it_fits_between_two_samples(monkeypatch):
     phases_us = np.array([[1.0, 2.0, 3.0, 4.0], [1e5, 2e4, 7e4, 1e4], [1e5, 2e4, 7e4, 9e3]])
-    monkeypatch.setattr(experiments.timing, "phases", lambda scenario: phases_us)
+    driven = []
+    monkeypatch.setattr(
+        experiments.timing, "phases", lambda scenario: driven.append(scenario) or phases_us
+    )
     found = experiments.steps_in_time()
+    # The first sample is not counted.
+    assert driven[0].duration_s == pytest.approx(paper.DT_S * (1 + PUBLISHED.loc["T7", "n"]))
     assert [*found["in_time"]] == [True, False, True]
     assert [*found["whole_us"]] == [10, 2e5, 1.99e5]
     assert [*found["feedback_us"]] == [6, 3e4, 2.9e4]
@@ -1158,14 +1180,27 @@ def test_a_step_is_in_time_if_all_of_it_fits_between_two_samples(monkeypatch):
 
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
     """The last one, driven again."""
-    table = experiments.lowest_traction("prediction", most=0)
-    assert len(table) >= 18
+    table = experiments.lowest_traction("prediction", most=18)
+    assert len(table) == 18
     *fields, lowest = table.columns
     row = table.iloc[-1]
     own = {name: row[name] for name in fields} | dict(seed=int(row["seed"]))
     choice = dict(estimator=RIVALS["augmented_ekf"], process_noise="prediction")
     log = rhec.simulate(rhec.Scenario(**own, **choice)).log
     assert lowest == "lowest" and row[lowest] == log[["mu_hat", "kappa_hat"]].min(axis=None)
+
+
+@pytest.mark.parametrize("lowest", [0.1, -0.1])
+def test_a_search_ends_with_what_it_looks_for_or_after_as_many_runs_as_is_said(lowest, monkeypatch):
+    columns = dict(mu_hat=np.array([0.5]), kappa_hat=np.array([0.7, lowest, 0.6]))
+    run = SimpleNamespace(columns=columns)
+    monkeypatch.setattr(experiments, "simulate", lambda scenario: run)
+    table = experiments.lowest_traction("printed")
+    said = int(re.search(r"in (\d+) runs", ledger.CLAIMS["M7"].test)[1])
+    assert len(table) == (said if lowest > 0 else 36)  # the first generation and one more
+    assert (table["lowest"] == lowest).all()
+    for name in ("guess_yaw_rad", "start_offset_m"):  # to both sides
+        assert table[name].min() < -2 and table[name].max() > 2
 
 
 def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side():
@@ -1187,6 +1222,20 @@ def test_the_cost_of_a_straight_drive_beside_the_path_is_that_of_its_offset():
     )
     _, weight, _ = paper.Q3
     assert cost == pytest.approx(weight * offset_m**2 * (n - 1 + paper.QN_FACTOR) / 2)
+
+
+def test_the_cost_of_a_curve_has_its_inputs_and_turns_by_what_the_soil_lets_through():
+    speed, mu, kappa, _ = next(experiments._draw_states(1))
+    omega = 0.05 * np.ones(paper.HORIZON)
+    straight = np.array(experiments._straight_ahead(speed, mu)[0]).T[1:]
+    poses, cost = experiments._drive_and_cost((0.0, 0.0, 0.0), (speed, mu, kappa), omega)
+    turned = kappa * 0.05 * paper.DT_S * np.arange(1, paper.HORIZON + 1)
+    np.testing.assert_allclose(poses[:, 2], turned)
+    np.testing.assert_allclose(np.hypot(*poses[0, :2]), mu * speed * paper.DT_S, rtol=1e-3)
+    weights = np.repeat([paper.Q3], paper.HORIZON, axis=0)
+    weights[-1] = paper.QN_FACTOR * np.array(paper.Q3)
+    squares = (weights * (poses - straight) ** 2).sum() + paper.R * (omega**2).sum()
+    assert cost == pytest.approx(squares / 2)
 
 
 def test_the_share_of_sigma_that_is_left_is_of_the_second_half():
@@ -1211,6 +1260,8 @@ def test_the_growth_of_a_weight_has_no_unit():
 def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
     off = experiments.certainty_equivalence(4.0)["off_radps"]
     assert len(off) == 20 and off.max() < 1e-9
+    (usual_s,) = experiments.certainty_equivalence.__defaults__
+    assert usual_s == pytest.approx(paper.DT_S * PUBLISHED.loc["N1", "n"])
 
 
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
@@ -1229,24 +1280,31 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
 def test_constant_arrival_costs_are_around_the_mean_of_the_adaptive_one(monkeypatch):
     """A hundredth of it, a hundred times as much, and one that is as good as none."""
     log = rhec.simulate(rhec.Scenario(estimator="oracle", duration_s=8.0)).log
-    P = np.eye(6) + np.arange(40.0)[:, None, None] * np.ones((6, 6))
+    W = np.diag(np.square(tuning.NOISES["rhe"]["prediction"].sigma_w))
+    P = W * np.arange(2.0, 42.0)[:, None, None]
+    log["theta_rad"] = 0.0
+    estimates = np.arange(40.0)[:, None] * np.eye(6)[5] + 0.6 * np.eye(6)[2]
     given = []
+    scenarios = []
 
     def recorded(steps, log, scenario, P_given=None):
+        scenarios.append(scenario)
         given.append(P_given)
-        return np.ones((40, 6)) + np.arange(40)[:, None], P
+        return estimates, P
 
     monkeypatch.setattr(experiments.compiled, "load", lambda build: None)
     monkeypatch.setattr(experiments, "run_with_given_arrival", recorded)
     row = experiments._arrival_cost("prediction", log)
     assert given[:2] == [None, None]  # with W and without
+    assert scenarios[0].sigma_w is None and scenarios[1].sigma_w == (0.0,) * 6
+    assert row["least"] == pytest.approx(1)
     heavy, light, none = given[2:]
     mean = P[paper.HORIZON + 1 :].mean(axis=0)  # of full windows
     np.testing.assert_allclose(100 * heavy, mean)
     np.testing.assert_allclose(light, 100 * mean)
-    assert none[0, 0] >= 1e6 * light[0, 0]
+    assert np.trace(none) > 1e5 * np.trace(light)
     for name in ("adaptive", "heavy", "light", "none"):
-        # These estimates are lost, and change by one at each sample.
+        # Their yaw is 0.6 rad off, and κ changes by one at each sample.
         assert row[f"step_{name}"] == 1 and row[f"lost_{name}"] and row[f"reached_s_{name}"] == 8
 
 
