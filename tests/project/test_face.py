@@ -185,6 +185,11 @@ def test_a_first_mistake_is_told_what_to_write_instead():
             r"\(2, 16\); it should have \(2, 6\).*horizon is 5.*Pa",
         ),
         (
+            lambda: rhc.feedback((0.0, []), x_ref=rows.T),
+            ValueError,
+            r"was \(0.0, \[\]\); it should be made of numbers$",
+        ),
+        (
             lambda: rhc.feedback((0.0, 0.0), x_ref=rows),
             ValueError,
             r"had shape \(6, 2\).*x_ref.T has that",

@@ -22,7 +22,6 @@ from notebooks import run as notebook
 from rhec import paper
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import LOG
-from rhec.tracked_robot import own_loop
 
 pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("virtual_machine")]
 N = paper.HORIZON
@@ -97,17 +96,6 @@ def test_a_scenario(fields):
             for name, value in fields.items()
             if not isinstance(value, np.ndarray)
         )
-
-
-FAULT_FIELDS = [field.name for field in dataclasses.fields(rhec.Fault)]
-
-
-@some(100)
-@given(
-    st.dictionaries(st.sampled_from(FAULT_FIELDS), junk, max_size=3), st.sampled_from(faults.KINDS)
-)
-def test_a_fault(fields, kind):
-    refused_by_name(lambda: rhec.Fault(**dict(kind=kind) | fields), FAULT_FIELDS)
 
 
 positive = st.sampled_from([1e-300, 1e-9, 1e-3, 0.03, 1.0, 1e3, 1e9, 1e100]) | st.floats(1e-6, 1e6)
@@ -189,38 +177,35 @@ def test_a_field(fields):
     assert made is None or np.isfinite(made.settings["slip"]).all()
 
 
-ENTRIES = [rhec.Path.from_segments, rhec.Path.racetrack, rhec.Path]
-ENTRIES += [rhec.Terrain, rhec.Terrain.uniform, rhec.Terrain.random]
+SETTINGS = "q r qn_factor omega_max dt guess sigma_v sigma_w speed_model process_noise".split()
+# {entry: (how it is called, its parameters, how many of them are given)}
+ENTRIES = {
+    "Fault": (rhec.Fault, [field.name for field in dataclasses.fields(rhec.Fault)], 4),
+    "RHE": (rhec.RHE, SETTINGS, 2),
+    "RHC": (rhec.RHC, SETTINGS, 2),
+}
+OF_THE_FIELD = (rhec.Path.from_segments, rhec.Path.racetrack, rhec.Path)
+for entry in (*OF_THE_FIELD, rhec.Terrain, rhec.Terrain.uniform, rhec.Terrain.random):
+    ENTRIES[entry.__qualname__] = entry, list(inspect.signature(entry).parameters), 9
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.__qualname__)
+@pytest.mark.parametrize("name", ENTRIES)
 @some(50)
 @given(st.data())
-def test_paths_and_terrains(entry, data):
-    names = list(inspect.signature(entry).parameters)
-    given = junk | numbers | st.lists(numbers.map(lambda n: n[:2]), max_size=4)
-    arguments = {name: data.draw(given, label=name) for name in names}
-    made = refused_by_name(lambda: entry(**arguments), names)
+def test_an_entry_that_is_given_anything(name, data):
+    entry, names, most = ENTRIES[name]
+    # Whatever is given, a kind is one of a fault's, and all of a path or a terrain is given.
+    anything = junk | numbers | st.lists(numbers.map(lambda n: n[:2]), max_size=4)
+    some_names = st.lists(st.sampled_from(names), unique=True, min_size=1, max_size=most)
+    chosen = names if most > len(names) else data.draw(some_names)
+    arguments = {of: data.draw(anything, label=of) for of in chosen}
+    if name == "Fault":
+        arguments = dict(kind=data.draw(st.sampled_from(faults.KINDS))) | arguments
+    made = refused_by_name(lambda: entry(**arguments), [*names, name])
     if isinstance(made, rhec.Path):
         with np.errstate(all="ignore"):
             points, _ = made.poses(np.linspace(0, made.length_m, 9))
             assert np.shape(made.project(points[:, :2])) == (2, 9)
-
-
-SETTINGS = """q r qn_factor omega_max dt prediction_horizon guess sigma_v sigma_w speed_model
-    process_noise""".split()
-
-
-@some(40)
-@given(
-    st.dictionaries(st.sampled_from(SETTINGS), scalar | numbers, min_size=1, max_size=2).filter(
-        lambda fields: not isinstance(fields.get("prediction_horizon"), int)
-    )
-)
-def test_an_estimator_and_a_controller(fields):
-    for entry, made in ((rhec.RHE, own_loop.RHE), (rhec.RHC, own_loop.RHC)):
-        names = [*inspect.signature(made).parameters, entry.__name__]
-        refused_by_name(lambda: entry(**fields), names)
 
 
 @some(150)
