@@ -409,6 +409,16 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
     limit = dict(panels)["yaw_rate"].ylim[1]
     assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
     assert all(1 < dict(panels)[name].ylim[1] < 1.1 for name in ("mu", "kappa"))
+    # Limits go in coarse steps, and cut off a hundredth below and a twentieth above.
+    for name, columns, step in (
+        ("kkt", ["kkt_rhe", "kkt_rhc"], 10),
+        ("error", ["error_true_m"], 2),
+    ):
+        values = np.concatenate([run.columns[column] for column in columns])
+        rare, usual = np.quantile(values[values > 0], [0.01, 0.95])
+        low, high = dict(panels)[name].ylim
+        assert low <= rare and high / step <= usual <= high
+        assert name == "error" or rare < step * low
     *_, tolerance = areas["error"]
     assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)
 
