@@ -838,12 +838,9 @@ def test_what_needs_no_drive_is_told_as_it_is_published(capsys):
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     for id_, row in published.iterrows():
         verdict = f"verdict: {row['verdict']}{', by derivation' if row['derived'] else ''}"
-        expected = [
-            f"{row['section']}: “{row['quote']}”",
-            f"test: {with_minus(row['test'])}",
-            verdict,
-        ]
-        expected += row["conditions"].split("; ")] + [f"why: {row['why']}"] * bool(row["why"])
+        expected = [f"{row['section']}: “{row['quote']}”", f"test: {with_minus(row['test'])}"]
+        expected += [verdict, *row["conditions"].split("; ")]
+        expected += [f"why: {row['why']}"] if row["why"] else []
         begin = lines.index(f"{id_}: {row['claim']}") + 1
         for line, wanted in zip(lines[begin:], expected):
             # The number of a condition stands before its verdict.
