@@ -244,6 +244,14 @@ def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):
     assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(controls.ESTIMATORS)
 
 
+def test_a_start_with_a_fault_of_its_own_has_it_in_the_list():
+    *_, own = STARTS
+    options = explorer._input(controls.CONTROLS["faults"], own.faults).options
+    assert options == (*controls.CONTROLS["faults"].options, ("as at the start", own.faults))
+    usual = controls.CONTROLS["faults"].options
+    assert all(explorer._input(controls.CONTROLS["faults"], of).options == usual for _, of in usual)
+
+
 def test_the_papers_weights_are_one_run(made, monkeypatch):
     drawn = []
     monkeypatch.setattr(made, "_draw", lambda: drawn.append(made.runs[0].scenario.q))

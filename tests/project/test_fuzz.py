@@ -221,15 +221,6 @@ def live(virtual_machine):
     return rhec.RHE(), rhec.RHC()
 
 
-@some(40)
-@given(junk)
-def test_a_run_and_a_campaign_of_junk(value):
-    refused_by_name(lambda: rhec.simulate(value), ["scenario"])
-    refused_by_name(lambda: rhec.campaign([value]), ["scenarios"])
-    if not (isinstance(value, list | tuple | dict | np.ndarray) and len(value) == 0):
-        refused_by_name(lambda: rhec.campaign(value), ["scenarios"])
-
-
 # Files are data
 
 

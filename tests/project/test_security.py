@@ -1,6 +1,5 @@
 """The promises of docs/threat_model.md and SECURITY.md that no other test covers."""
 
-import importlib.util
 import re
 from pathlib import Path
 
@@ -48,18 +47,6 @@ def test_a_release_is_of_what_passed_and_was_installed_and_run():
     assert places == sorted(places)
     assert jobs["publish"]["needs"] == "wheel"
     assert "pip" not in "".join(str(step) for step in jobs["publish"]["steps"][:-1])
-
-
-def test_what_the_settings_of_other_tools_name_exists():
-    """Goals of make for dependabot, programs of .venv for pre-commit, the digest of a base."""
-    makefile = (ROOT / "Makefile").read_text()
-    goals = re.findall(r"`make ([\w-]+)", (ROOT / ".github/dependabot.yml").read_text())
-    assert goals and all(f"\n{goal}:" in makefile for goal in goals)
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
-    for hook in hooks:
-        module = hook["entry"].split("-m ")[1].split()[0]
-        assert importlib.util.find_spec(module), module
-    assert re.search(r"^FROM \S+@sha256:[0-9a-f]{64}$", (ROOT / "Containerfile").read_text(), re.M)
 
 
 @pytest.mark.parametrize("name", ["check", "nightly", "release"])
