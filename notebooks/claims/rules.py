@@ -235,8 +235,12 @@ def _condition(entry, expressions, process_noise, instead):
 
 
 def _process_noises(entry):
-    """The process noises that an entry is judged under; "all" are those of every rule of W."""
-    noises = entry.get("process_noises", PROCESS_NOISES)
+    """The process noises that an entry is judged under; "all" are those of every rule of W.
+
+    None affects a property, so that one is left of them.
+    """
+    usual = ("printed",) if "property" in entry else PROCESS_NOISES
+    noises = entry.get("process_noises", usual)
     return tuple(CONDITIONS) if noises == "all" else tuple(noises)
 
 
@@ -271,16 +275,10 @@ def _rule_on_tables(entry, expressions, departures):
     sides = {">": settings.get("above"), "<": settings.get("below")}
     words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
     conditions = _by_condition(entry, expressions, _departures_of(entry, departures))
-    # Neither process noise nor world affects a property, so that one condition is left of each.
-    if "property" in entry:
-        conditions = {
-            name: condition
-            for name, condition in conditions.items()
-            if condition.tables[0][0] == "printed"
-        }
-        if len(conditions) == 1:
-            conditions = {"": conditions[AS_PRINTED]}
-    changes = "property" not in entry and not entry.get("derived", False)
+    is_exact = "property" in entry
+    if is_exact and len(conditions) == 1:
+        conditions = {"": conditions[AS_PRINTED]}
+    changes = not is_exact and not entry.get("derived", False)
     return Rule(
         conditions,
         settings.get("unit", "-"),
@@ -296,7 +294,6 @@ def _beside(entry, expressions):
     found = {}
     for part in entry.get("beside", []):
         for process_noise in _process_noises(part):
-            # No process noise affects a property: one of its equal numbers is left.
             name = "" if "property" in part else f", {CONDITIONS[process_noise]}"
             found[part["what"] + name] = _condition(part, expressions, process_noise, {})
     return found
