@@ -95,7 +95,7 @@ def main(arguments=None):
         print("\n".join(_listed()))
     try:
         for line in itertools.chain(*(_report_lines(id_, given.fields) for id_ in ids)):
-            print(line, flush=True)
+            print(line)
     except ValueError as error:
         parser.exit(2, f"{error}\n")
 

@@ -830,6 +830,8 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     assert low_m < value_m < high_m < 0
     said = re.findall(r"beside it: (.*): \S+ \[\S+ \S+\], n = 12$", text, re.MULTILINE)
     assert said == [*claim.beside]
+    command.main(["B6"])
+    assert f"seeds 0 to {LOOKS[0] - 1};" in capsys.readouterr().out
 
 
 def test_what_needs_no_drive_is_told_as_it_is_published(capsys):
@@ -857,7 +859,9 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeyp
     lines = capsys.readouterr().out.splitlines()
     for line, (id_, claim) in zip(lines, command.CLAIMS.items(), strict=True):
         assert line.split()[0] == id_ and claim.claim in line
-        assert line.endswith(f"  {PUBLISHED['verdict'].get(id_, 'not judged yet')}")
+        verdict = PUBLISHED["verdict"].get(id_, "not judged yet")
+        assert line.endswith(f"  {verdict}")
+        assert len(line) - len(verdict) == len(lines[0]) - len(PUBLISHED["verdict"].iloc[0])
 
 
 # Refusals
