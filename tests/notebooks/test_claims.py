@@ -378,15 +378,6 @@ def test_the_ledger_has_the_largest_p_of_what_is_decided(orders):
     assert (row.verdict, row.p) == (UNDECIDED, open_)
 
 
-def test_the_order_turns_with_the_numbers(orders):
-    """RHE and EKF exchanged: what held does not hold, and the other way round."""
-    names = dict(rhe="ekf", ekf="rhe", rhe_smoothed="ekf", rhe_left="ekf_left", ekf_left="rhe_left")
-    other = {(noise, kind, id_): orders[noise, kind, names[id_]] for noise, kind, id_ in orders}
-    found = {name: judge(other).verdict for name, judge in B5["B5"].rule.by_condition.items()}
-    assert found[statistics.PREDICTION] == HOLDS and found["W consistent"] == FAILS
-    assert found["as printed"] == FAILS
-
-
 def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
     conditions = [*B5["B5"].rule.by_condition]
     for last, other in ((FAILS, conditions[-1]), (HOLDS, conditions[1])):
@@ -1083,12 +1074,14 @@ def test_the_time_from_which_an_error_stays_small():
         assert experiments.reached_s(error) == pytest.approx(2.4)
 
 
-def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
-    noises = ("printed", "prediction")
-    made = experiments.make([(noise, "models") for noise in noises], 2)
-    one, other = (made[noise, "models"] for noise in noises)
-    pd.testing.assert_frame_equal(one, other)
-    assert len(one) == 100
+def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all(monkeypatch):
+    monkeypatch.setattr(experiments, "_tasks", lambda *asked: [functools.partial(dict, of=asked)])
+    monkeypatch.setattr(experiments, "parallel_map", lambda call, tasks: [task() for task in tasks])
+    tables = [(noise, name) for noise in ("printed", "tracking") for name in ("models", "search")]
+    made = experiments.make(tables, 9)
+    for noise, name in tables:
+        expected = (None if name == "models" else noise, name, 9)
+        assert made[noise, name].to_dict("list") == dict(of=[expected])
 
 
 def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine, monkeypatch):
