@@ -5,7 +5,6 @@ files, which are data.
 import dataclasses
 import inspect
 import re
-from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,6 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import rhec
-from notebooks import run as notebook
 from rhec import paper
 from rhec.simulation import closed_loop, faults
 from rhec.simulation.columns import LOG
@@ -238,19 +236,6 @@ def test_a_corrupt_field(tmp_path_factory, change):
         change = spoilt if place < len(content) else content[: -len(new)]
     file.write_bytes(change)
     refused_by_name(lambda: rhec.Terrain.load(file), ["file", "mu", "kappa", "origin_m", "cell_m"])
-
-
-@some(200)
-@given(
-    junk,
-    st.sampled_from(["whole(0, 9)", "real(-1, 1)", "Literal['one', 'two']", "list[real(0, 1)]"]),
-)
-def test_a_notebooks_parameter(value, kind):
-    namespace = dict(In=[f"given: {kind} = 0"], given=value, Literal=Literal)
-    try:
-        notebook.parameters(namespace | dict(whole=notebook.whole, real=notebook.real))
-    except notebook.ParameterError as error:
-        assert str(error).startswith("given") and " was " in str(error) and "\n" not in str(error)
 
 
 # Recorded logs
