@@ -1211,6 +1211,19 @@ def test_the_cost_of_a_straight_drive_beside_the_path_is_that_of_its_offset():
     assert cost == pytest.approx(weight * offset_m**2 * (n - 1 + paper.QN_FACTOR) / 2)
 
 
+def test_the_bending_of_a_cost_is_its_second_derivative_along_a_constant_yaw_rate(monkeypatch):
+    """A trajectory that is no linear function of the inputs is off the mean of two."""
+
+    def quadratic(state, parameters, inputs):
+        return inputs**2, 3.5 * inputs.sum() ** 2
+
+    monkeypatch.setattr(experiments, "_drive_and_cost", quadratic)
+    found = experiments.convexity(20)
+    np.testing.assert_allclose(found["bending"], 2 * 3.5 * paper.HORIZON**2, rtol=1e-6)
+    # ((u - v) / 2)² of inputs within their bounds
+    assert found["off_mean_m"].between(0.002, paper.OMEGA_MAX_RADPS**2).all()
+
+
 def test_the_cost_of_a_curve_has_its_inputs_and_turns_by_what_the_soil_lets_through():
     speed, mu, kappa, _ = next(experiments._draw_states(1))
     omega = 0.05 * np.ones(paper.HORIZON)
@@ -1240,7 +1253,9 @@ def test_the_growth_of_a_weight_has_no_unit():
     P = roots @ roots.swapaxes(1, 2)
     units = np.diag([1.0, 1e3, 0.1, 5.0, 1e-3, 20.0])
     assert experiments._growth(units @ P @ units) == pytest.approx(experiments._growth(P))
-    halves = np.repeat([np.eye(6), np.eye(6), np.eye(6) / 3], [1, 6, 3], axis=0)
+    # The first covariance is the unit, whatever comes then.
+    first, last = np.eye(6), np.diag([1 / 3, 1, 1, 1, 1, 1])
+    halves = np.repeat([first, np.diag([1, 99, 1, 1, 1, 1]), first, last], [1, 1, 5, 3], axis=0)
     assert experiments._growth(halves) == pytest.approx(3)
 
 
