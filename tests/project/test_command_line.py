@@ -21,7 +21,6 @@ from rhec.cli import main
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SHORT = ["--duration-s", "8"]
-COMMANDS = ("lab", "log", "simulate", "campaign", "export")
 
 
 @pytest.fixture(scope="module")
@@ -212,20 +211,15 @@ def test_help_needs_no_utf_8_and_no_reader_that_reads_it_all(tmp_path):
     assert not ended.stderr and b"Usage: rhec simulate" in ended.stdout
 
 
-def test_help_has_an_example_of_each_command_and_every_field_that_it_takes(capsys, monkeypatch):
+def test_help_has_every_field_that_a_command_takes(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     text = {}
-    for name in ("", *COMMANDS):
-        assert main([*filter(None, [name]), "--help"]) == 0
+    for name in ("simulate", "export"):
+        assert main([name, "--help"]) == 0
         text[name] = capsys.readouterr().out
-    assert re.findall("^│ ([a-z]+) ", text[""], re.MULTILINE) == [*COMMANDS]  # in the order of use
-    for name in COMMANDS:
-        assert f"Usage: rhec {name}" in text[name]
-        assert name == "lab" or f"For example: rhec {name} " in text[name]
     for field in dataclasses.fields(rhec.Scenario):
         is_object = field.name in ("terrain", "path", "faults", "controller")
         assert (f" --{field.name.replace('_', '-')} " in text["simulate"]) != is_object
-    assert "Set speed [m/s], 0 to 1.4. [default: 0.5]" in text["simulate"]
     # Of an export, what changes its code alone.
     for option in ("estimator", "q", "turns", "sensors"):
         assert f" --{option} " in text["export"]
