@@ -85,6 +85,11 @@ def test_untouched_controls_give_the_start_scenario(start):
     assert controls.scenario_of(values, start.estimator, start) == start
     is_own = start.sigma_w or start.sigma_v or start.process_noise == "soft_soil"
     assert values["process_noise"] == ("custom" if is_own else start.process_noise or "prediction")
+    # The rule that is the default, and was no other at the start, is not written.
+    usual = controls.scenario_of(values | dict(process_noise="prediction"), "rhe", start)
+    assert usual.process_noise == (
+        start.process_noise if values["process_noise"] == "prediction" else None
+    )
 
 
 # Parameters for which the explorer has other means, and those that it leaves to Python: objects;
@@ -193,6 +198,13 @@ def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it()
 
 
 # The widget
+
+
+def test_a_whole_number_stays_one_and_a_start_is_a_scenario():
+    horizon = controls.tidy(controls.CONTROLS["estimation_horizon"], 7.0, 15)
+    assert type(horizon) is int and horizon == 7
+    with pytest.raises(ValueError, match="^start was 3; it should be a rhec.Scenario$"):
+        rhec.Explorer(3)
 
 
 def test_slider_steps_include_the_start_value_and_show_all_its_digits():

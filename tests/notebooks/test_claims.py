@@ -451,11 +451,13 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
         ("T3", 0.3523 + 0.1309 + 0.3751 + 0.0215, HOLDS),
         ("T8", 0.0, FAILS),  # minimum of the RHE: 0.2921 + 0.0766 = 0.3687
         ("T10", 3, FAILS),  # eq. (6) has ν, μ and κ; the paper counts two
+        ("B21", 0.2, UNTESTABLE),
     ],
 )
 def test_what_follows_from_the_papers_own_numbers_is_as_by_hand(id_, number, verdict):
     first, *_ = ledger.CLAIMS[id_].rule.by_condition.values()
-    found = first({})  # no evidence is needed
+    errors = pd.DataFrame(dict(rms_yaw_rate_radps=[0.1, 0.2, 0.3]))
+    found = first({("printed", "logs", "rhe"): errors})  # of B21; the others need no evidence
     assert found.value == pytest.approx(number, abs=1e-12) and found.verdict == verdict
 
 
@@ -663,6 +665,7 @@ def test_verdicts_are_counted_by_class():
     table = pd.read_csv(RESULTS / "claims.csv")
     ids = [*table.loc[table["verdict"] == FAILS, "id"]]
     assert [*summary.failing(table).index] == ids and ids
+    assert [*summary.lost(table).index] == summary.survivors(table)[1]
 
 
 def test_a_weak_verdict_does_not_survive_among_many():
