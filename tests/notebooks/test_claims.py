@@ -171,11 +171,6 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     assert 0.94 <= statistics.coverage(statistic, *samples) <= 0.96
 
 
-def test_the_root_of_a_mean_of_squares_is_their_rms():
-    found = statistics.over_seeds(statistics.root_of_mean, SHARES**2.0)
-    assert found.mean == pytest.approx(np.linalg.norm(SHARES) / np.sqrt(200))
-
-
 def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses(monkeypatch):
     """Of skewed numbers in all runs it is nearly what the intervals say.
 
