@@ -15,8 +15,6 @@ from pandas.testing import assert_frame_equal
 from notebooks.studies.answer import RESULTS
 from rhec.style import ROOT, note_of
 
-__all__ = ["difference", "main"]
-
 TOLERANCE = 1e-6  # relative: more than compilers differ by, less than any conclusion needs
 
 

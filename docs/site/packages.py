@@ -15,8 +15,6 @@ from packaging.utils import canonicalize_name
 
 from benchmark.tables import FOLDER
 
-__all__ = ["closure", "megabytes", "measure"]
-
 NAME = "rhec"
 EXTRAS = ("", "plots", "logs", "campaigns", "all")
 

@@ -39,8 +39,6 @@ from notebooks.studies import answer, timing
 from notebooks.studies.tables import to_markdown
 from rhec import __version__, style
 
-__all__ = ["SHOWN", "build", "licence"]
-
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")

@@ -28,13 +28,13 @@ _COLUMNS = (
 
 
 def _largest_p(findings, verdict):
-    """The largest p of the conditions; undecided ones count only where they decide. -1 if none."""
+    """The largest p of the conditions; undecided ones count only where they decide. NaN if none."""
     ps = [
         finding.p
         for finding in findings.values()
         if verdict == UNDECIDED or finding.verdict != UNDECIDED
     ]
-    return np.nanmax([*ps, -1])
+    return pd.Series(ps, dtype=float).max()
 
 
 def _other(findings, deciding):
@@ -92,7 +92,7 @@ def ledger(findings, looks, beside, shares, claims=CLAIMS):
         _row(id_, claim, findings[id_], looks[id_], beside[id_], shares.get(id_))
         for id_, claim in claims.items()
     ]
-    table = pd.DataFrame(rows, columns=_COLUMNS).replace({"p": {-1.0: np.nan}})
+    table = pd.DataFrame(rows, columns=_COLUMNS)
     chance = table["p"].notna()
     adjusted = stats.false_discovery_control(table.loc[chance, "p"], method="by")
     # Claims share runs, so their tests are dependent; Benjamini and Yekutieli allow for that.

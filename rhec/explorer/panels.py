@@ -3,7 +3,6 @@
 Matplotlib draws them as a figure; a page draws them from a list of marks and a buffer of numbers.
 """
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +104,6 @@ def _draw(axes, mark, height):
         axes.add_line(_line(mark, mark.x, mark.y, zorder=height))
 
 
-@functools.cache
 def _wet():
     from matplotlib.colors import LinearSegmentedColormap
 
