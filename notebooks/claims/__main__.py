@@ -44,7 +44,10 @@ def _report_lines(id_, fields):
         ValueError: If there is no such claim, or fewer than 2 fields.
     """
     if id_ not in CLAIMS:
-        raise ValueError(f"claim was {id_!r}; `make claim` without an ID lists those there are")
+        merged = [into for into, claim in CLAIMS.items() if claim.mended.startswith(f"{id_} ")]
+        lists = "`make claim` without an ID lists those there are"
+        known = f"it is part of {merged[0]} now" if merged else lists
+        raise ValueError(f"claim was {id_!r}; {known}")
     if fields < 2:
         raise ValueError(f"fields was {fields}; it should be 2 or more")
     claim = CLAIMS[id_]

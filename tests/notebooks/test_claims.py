@@ -899,6 +899,7 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(capsys):
             call()
     for words, sentence in (
         (["Z9"], "claim was 'Z9'; `make claim` without an ID lists"),
+        (["K2"], "claim was 'K2'; it is part of K1 now"),
         (["B6", "--fields", "1"], "fields was 1; it should be 2 or more"),
     ):
         with pytest.raises(SystemExit) as refused:
@@ -1188,9 +1189,18 @@ def test_a_search_ends_with_what_it_looks_for_or_after_as_many_runs_as_is_said(l
         assert table[name].min() < -2 and table[name].max() > 2
 
 
-def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side():
-    """At the origin, straight ahead, it drives by μν."""
+def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side(monkeypatch):
+    """At the origin, straight ahead, it drives by μν. Its yaw rates are to both sides."""
+    turned = []
+    drive = experiments.rk4
+
+    def noted(f, pose, omega, *given):
+        turned.append(omega)
+        return drive(f, pose, omega, *given)
+
+    monkeypatch.setattr(experiments, "rk4", noted)
     found = experiments.models(3)
+    assert min(turned) < 0 < max(turned) and np.abs(turned).max() <= paper.OMEGA_MAX_RADPS
     ahead = [mu * speed for speed, mu, *_ in experiments._draw_states(3)]
     np.testing.assert_allclose(found["at_rest_mps"], ahead)
     np.testing.assert_allclose(found[["off_unicycle_m", "sideways_mps"]], 0, atol=1e-9)

@@ -214,9 +214,11 @@ def test_help_needs_no_utf_8_and_no_reader_that_reads_it_all(tmp_path):
 def test_help_has_every_field_that_a_command_takes(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     text = {}
-    for name in ("simulate", "export"):
-        assert main([name, "--help"]) == 0
+    for name in ("", "simulate", "export"):
+        assert main([*filter(None, [name]), "--help"]) == 0
         text[name] = capsys.readouterr().out
+    by_use = ["lab", "log", "simulate", "campaign", "export"]
+    assert re.findall("^│ ([a-z]+) ", text[""], re.MULTILINE) == by_use
     for field in dataclasses.fields(rhec.Scenario):
         is_object = field.name in ("terrain", "path", "faults", "controller")
         assert (f" --{field.name.replace('_', '-')} " in text["simulate"]) != is_object

@@ -150,3 +150,9 @@ def test_no_result_on_recorded_robots_is_written_by_hand():
     of_code = {transfer.NOISE_M, transfer.YAW_ERROR_RAD, scores.Z_95, UNSURE_YAW_RAD}
     of_code |= {scores.BAD_RAD, scores.GOOD_RAD, verdicts.BAD_RAD, verdicts.FAR_KAPPA}
     assert {float(number) for number in re.findall(r"\d+\.\d+", page)} <= of_code
+
+
+def test_the_readme_is_short_and_has_its_caveat_before_its_answer():
+    assert len(TEXT["README.md"].splitlines()) <= 100
+    before = " ".join(TEXT["README.md"].partition("<!-- results answer -->")[0].split())
+    assert "field data of the paper were never published" in before
