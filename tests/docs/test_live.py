@@ -203,6 +203,9 @@ def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
         each.get("src") or each["href"] for each in html.select("script, link[rel=stylesheet]")
     ]
     assert loaded and all((tmp_path / file).exists() for file in loaded)
+    # With the quotes that stand in them.
+    tooltips = [slider["tooltip"] for group in world["groups"].values() for slider in group]
+    assert [label["title"] for label in html.select("#sliders label[title]")] == tooltips
 
 
 @pytest.mark.parametrize("name", ["rhe_5", "ekf_faulty"])

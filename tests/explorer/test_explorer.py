@@ -577,6 +577,7 @@ def test_a_lost_robot_is_drawn():
     unknown = [name for name in run.columns if name.endswith("_hat") or name.startswith("kkt")]
     columns = run.columns | dict.fromkeys(unknown, nan)
     columns |= dict.fromkeys(("error_true_m", "x_m"), 1e6 * run.columns["t_s"])
+    columns["kkt_rhc"] = np.zeros(len(nan))
     lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
     for zoom in field_run.ZOOMS:
         content, numbers = packed(pictured(lost, zoom))
