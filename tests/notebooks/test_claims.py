@@ -825,7 +825,7 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
 
 def test_what_needs_no_drive_is_told_as_it_is_published(capsys):
     published = PUBLISHED[~PUBLISHED["n"].gt(1) & PUBLISHED["beside"].isna()].fillna({"why": ""})
-    command.main([*published.index])
+    command.main([*published.index, "--fields", "2"])
     lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
     for id_, row in published.iterrows():
         verdict = f"verdict: {row['verdict']}{', by derivation' if row['derived'] else ''}"
@@ -1053,12 +1053,13 @@ def test_a_drive_in_a_world_turns_to_both_sides():
         assert 0.1 < third_m / run.scenario.row_length_m < 0.4
 
 
-@pytest.mark.parametrize("lag", [0.0, 1.4, 5.0])
-def test_a_lag_is_found(lag):
+@pytest.mark.parametrize("lag", [0.0, 1.4, 5.0, 12.0])
+def test_a_lag_of_up_to_ten_seconds_is_found(lag):
     truth = np.convolve(np.random.default_rng(0).normal(size=600), np.ones(25) / 25, "same")
     shift = round(lag / 0.2)
     late = np.concatenate([np.zeros(shift), truth[: 600 - shift]])
-    assert run_sets.lag_s(late, truth) == pytest.approx(lag, abs=0.2)
+    found = run_sets.lag_s(late, truth)
+    assert found == pytest.approx(lag, abs=0.2) if lag < 10 else found <= 10
 
 
 # Experiments
