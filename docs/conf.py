@@ -52,7 +52,6 @@ myst_heading_anchors = 4
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 python_maximum_signature_line_length = 88
-napoleon_google_docstring = True
 
 
 def setup(app):

@@ -18,8 +18,6 @@ from notebooks.studies import answer
 from notebooks.studies.tables import interval_texts
 from rhec import paper
 
-__all__ = ["main", "tables", "write"]
-
 ROOT = Path(__file__).resolve().parents[2]
 _SOURCE = "docs/article/article.typ"
 

@@ -11,17 +11,17 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
+from rhec import paper
 from rhec.core._casadi.build import casadi_function
 from rhec.core._casadi.c_text import generate_c
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS
 from rhec.simulation.parts import parts_of
+from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import SAME_M, advance, ahead_and_left, on_arc, on_line
 from rhec.tracked_robot.references import padded_segments
 
-__all__ = ["ERRORS", "MAX_SAMPLES", "argument_tables", "build_functions", "c_module", "c_text"]
-
-MAX_SAMPLES = 1200  # of a run: four minutes
+MAX_SAMPLES = round(Scenario.duration_s / paper.DT_S)  # of a run: four minutes
 # Outputs of the Function `errors`, in this order.
 ERRORS = ("error_m", "error_true_m", "left_m", "on_straight")
 # Arrays that hold one entry per sample; all others hold one entry.

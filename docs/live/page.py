@@ -1,10 +1,8 @@
 """Write the live page: the closed loop in the reader's browser, from files alone.
 
-    python -m docs.live.page [FOLDER]
-
-writes FOLDER/live.html and FOLDER/live/, by default into build/report. Noise, soils and sensor
-faults of each seed are data that Python computes here; the loop is WebAssembly, one module per
-structure of the loop. The page loads seeds and modules when they are first needed.
+`docs.site.report` adds live.html and live/ to the site. Noise, soils and sensor faults of each seed
+are data that Python computes here; the loop is WebAssembly, one module per structure of the loop.
+The page loads seeds and modules when they are first needed.
 """
 
 import base64
@@ -12,12 +10,9 @@ import functools
 import gzip
 import json
 import multiprocessing
-import os
 import shutil
-import sys
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields
 from pathlib import Path
 
 import jinja2
@@ -39,11 +34,7 @@ from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.references import padded_segments
 from rhec.tracked_robot.sensors import SENSORS
 
-__all__ = ["FAULTS", "NOISE_STEP", "SCENES", "SEEDS", "SOILS", "STRUCTURES", "TRACTION_STEP"]
-__all__ += ["TURNS", "affine_memory", "fields_of_turns", "functions_of", "seed_data", "write"]
-
 HERE = Path(__file__).parent
-REPORT = Path(__file__).resolve().parents[2] / "build/report"
 SEEDS = range(10)
 NOISE_STEP = 1 / 4096  # of 16 bits with sign: up to eight standard deviations
 TRACTION_STEP = 1 / 65535  # of 16 bits without sign: up to 1
@@ -73,22 +64,21 @@ STORY = tomllib.loads((HERE / "story.toml").read_text(encoding="utf-8"))
 # What scripts need of a step of the story; its template has the rest.
 _TOLD = ("told", "right", "wrong", "idle", "run")
 # Parameters of Scenario that have sliders; none of them changes the structure of the loop.
-_FIELDS = {"q", "r", "look_ahead_m", "omega_max_radps", "sigma_w", "sigma_v", "duration_s"}
-_FIELDS |= {"start_offset_m", "start_yaw_rad", "speed_mps", "rotation_centre_m"}
-_FIELDS |= {"gnss_sigma_m", "gnss_slow_share", "gnss_slow_time_s", "encoder_sigma_mps"}
-_FIELDS |= {"speed_sigma_mps", "bump_sigma_radps", "rut_length_m", "slip_difference"}
+_FIELDS = set(
+    "q r look_ahead_m omega_max_radps sigma_w sigma_v duration_s start_offset_m start_yaw_rad "
+    "speed_mps rotation_centre_m gnss_sigma_m gnss_slow_share gnss_slow_time_s encoder_sigma_mps "
+    "speed_sigma_mps bump_sigma_radps rut_length_m slip_difference".split()
+)
 # Parameters of Scenario in which the loop's first memory is affine.
-_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=0.5)
+_START = dict(start_offset_m=0.0, start_yaw_rad=0.0, guess_yaw_rad=0.0, speed_mps=paper.SPEED_MPS)
 # Settings of the loop that come with the soil.
 _OF_THE_SOIL = ("origin_m", "cell_m", "slip", "mean_traction")
 _OF_THE_PATH = ("padded_segments", "period_m")
 
 
-def write(folder=REPORT):
+def write(folder):
     """Write live.html and what it loads into a folder; it links the notebooks' pages there."""
-    folder.mkdir(parents=True, exist_ok=True)
     files = folder / "live"
-    shutil.rmtree(files, ignore_errors=True)
     files.mkdir()
     for file in (*HERE.glob("*.js"), *HERE.glob("*.css")):
         shutil.copy(file, files)
@@ -102,7 +92,7 @@ def write(folder=REPORT):
         data |= dict(zip(STRUCTURES, pool.map(_module, STRUCTURES.values())))
         data["tools"] = tools.result()
     for name, content in data.items():
-        text = json.dumps(content, allow_nan=True, separators=(",", ":"), ensure_ascii=False)
+        text = json.dumps(content, separators=(",", ":"))
         (files / f"{name}.js").write_text(f"live.arrived({name!r}, {text})\n", encoding="utf-8")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE), undefined=jinja2.StrictUndefined, autoescape=True
@@ -227,10 +217,7 @@ def _places(setup):
 
 def _world():
     """What all runs have in common, and the controls."""
-    start = Scenario()
-    defaults = {field.name: getattr(start, field.name) for field in fields(start)}
-    # The line of Python leaves out what has its default.
-    defaults |= dict(faults=())
+    defaults = vars(Scenario())  # the line of Python leaves them out
     return dict(
         fields=fields_of_turns(),
         turns=TURNS,
@@ -331,16 +318,3 @@ def _sliders():
                 groups.setdefault(title, []).append(slider)
     patch = [slider._asdict() | dict(field="patch", place=slider.key) for slider in PATCH]
     return groups | {"Last wet patch": patch}
-
-
-def _main():
-    folder = Path(sys.argv[1]) if sys.argv[1:] else REPORT
-    if not wasm.can_compile():
-        print("live page: left out, since ziglang is not installed")
-        return
-    write(folder)
-    print(f"live page: open {os.path.relpath(folder / 'live.html')}")
-
-
-if __name__ == "__main__":
-    _main()

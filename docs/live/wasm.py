@@ -9,8 +9,6 @@ from pathlib import Path
 
 from rhec.core._casadi import cache, compiled
 
-__all__ = ["can_compile", "module_of"]
-
 _SINES = compiled.HEADERS / "elementary.h"  # the sine of all compiled code
 _HEADERS = Path(__file__).with_name("freestanding")
 _COMMAND = [sys.executable, "-m", "ziglang", "cc", "-include", str(_SINES), "code.c"]

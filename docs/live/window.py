@@ -18,8 +18,6 @@ from rhec.tracked_robot.estimators import Choice
 from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, f, rk4
 from rhec.tracked_robot.paper_rhe import SIGMA_START, init, window_of
 
-__all__ = ["build_tools", "c_text", "first_memories"]
-
 _RESULTS = ("estimate", "covariance", "m_N", "P_N", "s_N")
 
 

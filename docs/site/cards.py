@@ -12,11 +12,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from notebooks.claims.summary import verdict_counts
+from notebooks.claims.summary import by_condition, verdict_counts
 from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies.tables import interval_text, three_digits, to_markdown, with_minus
-
-__all__ = ["LIVE", "interval", "page"]
 
 # {address of the live page, after "#": ids of the claims that it shows}
 LIVE = {
@@ -31,7 +29,10 @@ from equations or from the paper's own numbers. The ledger takes 40 fields, and 
 a claim is undecided; README and the notebooks have more of them, so that their numbers are closer.
 A click on a card shows the paper's words, the rule, the reason and the command that judges the
 claim again."""
-_TEMPLATE = Path(__file__).with_name("cards.html.j2")
+_ENVIRONMENT = jinja2.Environment(
+    trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, autoescape=True
+)
+_TEMPLATE = Path(__file__).with_name("cards.html.j2").read_text(encoding="utf-8")
 _UNITLESS = ("", "-", "ratio")
 # The picture of an interval [px]: its scale from left to right, and the heights of its parts.
 _LEFT = 14.0
@@ -53,7 +54,7 @@ def page(claims, live=False):
         The page as Markdown with HTML.
     """
     claims = claims.assign(kind=claims["verdict"].map(kind_of))
-    template = _environment().get_template(_TEMPLATE.name).module
+    template = _ENVIRONMENT.from_string(_TEMPLATE).module
     counts = to_markdown(verdict_counts(claims).reset_index())
     sections = {
         section: [_card(row, live) for row in rows.to_dict("records")]
@@ -64,16 +65,6 @@ def page(claims, live=False):
     parts = ["# Verdicts on the paper", counts, _INTRODUCTION, overview]
     parts += [f"## {section}\n\n{_raw(template.cards(all_))}" for section, all_ in sections.items()]
     return "---\nhide-toc: true\n---\n\n" + "\n\n".join(parts) + "\n"
-
-
-def _environment():
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATE.parent),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-        autoescape=True,
-    )
 
 
 def _raw(html):
@@ -112,22 +103,17 @@ def _numbers(row):
                 (f"here, {condition}" if condition else "here", f"{number} {unit}", int(n))
             )
     if row["paper"] != "":
-        number = _as_number(row["paper"])
+        number = pd.to_numeric(row["paper"], errors="coerce")  # NaN for a word
         paper = with_minus(row["paper"])
         has_unit = not np.isnan(number) and not unit.startswith("share")
         lines.append(("the paper", f"{paper} {unit}" if has_unit else paper, 0))
     return lines
 
 
-def _as_number(paper):
-    """The paper's number; NaN for a word or for none."""
-    return pd.to_numeric(pd.Series([paper]), errors="coerce").item()
-
-
 def _conditions(text):
     """[(condition, verdict, sign)] of "as printed: holds; W by prediction: undecided"."""
-    pairs = [part.rsplit(": ", 1) for part in text.split("; ") if part]
-    return [(name, verdict, LOOKS[kind_of(verdict)][1]) for name, verdict in pairs if name]
+    verdicts = by_condition(text).items()
+    return [(name, verdict, LOOKS[kind_of(verdict)][1]) for name, verdict in verdicts if name]
 
 
 # The picture of an interval
@@ -161,7 +147,7 @@ def interval(row):
     }
     if not findings:
         return None
-    paper = _as_number(row["paper"])
+    paper = pd.to_numeric(row["paper"], errors="coerce")
     bounds = np.array([row["above"], row["below"]], dtype=float)
     words = _in_words(findings, row["bound"], paper)
     near = _finite([*findings.get("here", ()), *bounds, paper])
@@ -171,13 +157,13 @@ def interval(row):
         side = int(np.sign(value - near.mean()))
         beyond = _ROWS["other"], _RIGHT if side > 0 else _LEFT, side, three_digits(value)
     place, ticks = _scale(_finite([*np.ravel([*findings.values()]), *near]), row["unit"])
-    ends = np.clip([place(bound) for bound in bounds], _LEFT, _RIGHT)
+    begin, end = (place(bound) for bound in bounds)
     return dict(
         rows=[(kind, _ROWS[kind], *map(place, found)) for kind, found in findings.items()],
         beyond=beyond,
         limits=sorted({place(bound) for bound in bounds if np.isfinite(bound)}),
         paper=None if np.isnan(paper) else place(paper),
-        inside=(ends[0], ends[1] - ends[0]),
+        inside=(begin, end - begin),
         ticks=ticks,
         words=words,
     )

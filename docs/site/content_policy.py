@@ -10,33 +10,27 @@ from base64 import b64encode
 from hashlib import sha256
 from importlib.resources import files
 
-__all__ = ["live_policy", "with_policy"]
-
 # A page from the disk has no origin, so that some browsers do not count other files as 'self'.
 _FILES = "'self' file:"
-_COMMON = {
-    "default-src": "'none'",
-    "style-src": f"{_FILES} 'unsafe-inline'",
-    "font-src": f"{_FILES} data:",
-    "base-uri": "'none'",
-}
 _INLINE_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 
-def _text(directives):
-    return "; ".join(f"{name} {sources}" for name, sources in directives.items())
+def _policy(scripts, rest):
+    """A policy: which scripts run besides those of files, and the directives that differ."""
+    directives = {
+        "default-src": "'none'",
+        "style-src": f"{_FILES} 'unsafe-inline'",
+        "font-src": f"{_FILES} data:",
+        "base-uri": "'none'",
+        "script-src": f"{_FILES} {scripts}",
+        "img-src": f"{_FILES} data:",
+    }
+    return "; ".join(f"{name} {sources}" for name, sources in (directives | rest).items())
 
 
 def live_policy():
     """Return the policy of the live page, which runs WebAssembly."""
-    return _text(
-        _COMMON
-        | {
-            "script-src": f"{_FILES} 'wasm-unsafe-eval'",
-            "img-src": f"{_FILES} data:",
-            "form-action": "'none'",
-        }
-    )
+    return _policy("'wasm-unsafe-eval'", {"form-action": "'none'"})
 
 
 def with_policy(html):
@@ -50,15 +44,8 @@ def with_policy(html):
     """
     template = (files("furo") / "theme/furo/base.html").read_text(encoding="utf-8")
     digests = [sha256(script.encode()).digest() for script in _INLINE_SCRIPT.findall(template)]
-    inline = [f"'sha256-{b64encode(digest).decode()}'" for digest in digests]
-    policy = _text(
-        _COMMON
-        | {
-            "script-src": " ".join([_FILES, *inline]),
-            "img-src": f"{_FILES} data:",
-            "media-src": f"{_FILES} data:",
-            "form-action": _FILES,  # of the search
-        }
-    )
+    inline = " ".join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)
+    # The form is that of the search.
+    policy = _policy(inline, {"media-src": f"{_FILES} data:", "form-action": _FILES})
     meta = f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
     return re.sub("<head>", lambda head: f"{head[0]}\n{meta}", html, count=1)

@@ -15,8 +15,6 @@ from packaging.utils import canonicalize_name
 
 from benchmark.tables import FOLDER
 
-__all__ = ["closure", "megabytes", "measure"]
-
 NAME = "rhec"
 EXTRAS = ("", "plots", "logs", "campaigns", "all")
 
@@ -31,22 +29,20 @@ def closure(name, extra=""):
     Returns:
         Set of names, without the package itself.
     """
-    found = set()
-    waiting = [(name, extra)]
-    seen = set()
-    while waiting:
-        package, with_extra = waiting.pop()
-        if (package, with_extra) in seen:
-            continue
-        seen.add((package, with_extra))
+    found = set()  # of (package, one of its extras)
+
+    def add_needs(package, with_extra):
         for text in metadata.requires(package) or ():
             wanted = Requirement(text)
             if wanted.marker and not wanted.marker.evaluate({"extra": with_extra}):
                 continue
-            needed = canonicalize_name(wanted.name)
-            found.add(needed)
-            waiting += [(needed, each) for each in ("", *wanted.extras)]
-    return found - {name}
+            for needed in ((canonicalize_name(wanted.name), each) for each in ("", *wanted.extras)):
+                if needed not in found:
+                    found.add(needed)
+                    add_needs(*needed)
+
+    add_needs(name, extra)
+    return {package for package, _ in found} - {name}
 
 
 @functools.cache  # most packages are needed by several extras

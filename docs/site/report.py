@@ -39,8 +39,6 @@ from notebooks.studies import answer, timing
 from notebooks.studies.tables import to_markdown
 from rhec import __version__, style
 
-__all__ = ["SHOWN", "build", "licence"]
-
 ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
@@ -87,16 +85,16 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
     """
     began = time.monotonic()
     report.parent.mkdir(parents=True, exist_ok=True)
-    print(f"report: {len(notebooks)} notebooks and the documents become a site", flush=True)
+    print(f"report: {len(notebooks)} notebooks and the documents become a site")
     with tempfile.TemporaryDirectory(dir=report.parent, prefix="unfinished-") as folder:
         source = Path(folder) / "source"
         site = Path(folder) / report.name
         _lay_out(source, notebooks, figures, live)
         tags = ["live"] if live else []
         doctrees = Path(folder) / "doctrees"
-        print("report: Sphinx writes the pages (half a minute or more)", flush=True)
+        print("report: Sphinx writes the pages (half a minute or more)")
         Sphinx(source, ROOT / "docs", site, doctrees, "html", status=None, tags=tags).build()
-        print("report: pictures are made smaller", flush=True)
+        print("report: pictures are made smaller")
         for file in site.rglob("*.map"):  # of the theme's sources, which are not there
             file.unlink()
         with ThreadPoolExecutor() as threads:  # Pillow lets other threads run meanwhile
@@ -105,14 +103,14 @@ def build(notebooks, figures=style.FOLDER, report=REPORT, live=False):
             text = _SHOWN_PNG.sub(r"\1.webp", file.read_text(encoding="utf-8"))
             file.write_text(with_policy(text), encoding="utf-8")
         if live:
-            print("report: the closed loop becomes WebAssembly for the live page", flush=True)
+            print("report: the closed loop becomes WebAssembly for the live page")
             page.write(site)
         shutil.rmtree(report, ignore_errors=True)
         site.rename(report)
     pages = sum(1 for _ in report.rglob("*.html"))
     size_mb = sum(file.stat().st_size for file in report.rglob("*") if file.is_file()) / 1e6
     took_s = time.monotonic() - began
-    print(f"report: {pages} pages, {size_mb:.1f} MB, in {took_s:.0f} s", flush=True)
+    print(f"report: {pages} pages, {size_mb:.1f} MB, in {took_s:.0f} s")
 
 
 def _shrink(png):
@@ -289,15 +287,11 @@ def _figures_page(stories, captions, folder):
                 for name, place in group
             )
             text += f"\n## {title}\n\n::::{{container}} gallery\n{gallery}\n::::\n"
-    names = sorted((file.stem for file in folder.glob("*.csv")), key=_order_of_table)
+    # The tables that the paper has come first, in its order.
+    names = sorted(file.stem for file in folder.glob("*.csv"))
+    names.sort(key=lambda name: [not name.startswith(first) for first in _PAPERS_TABLES])
     tables = [f"- {{download}}`{name}.csv <figures/{name}.csv>`" for name in names]
     return "\n".join([text, "## Tables with all digits\n", *tables, ""])
-
-
-def _order_of_table(name):
-    """The tables that the paper has come first, in its order."""
-    first = [each for each in _PAPERS_TABLES if name.startswith(each)]
-    return _PAPERS_TABLES.index(*first) if first else len(_PAPERS_TABLES), name
 
 
 def _figure(file, place, caption):
@@ -402,10 +396,7 @@ def _main():
     parser = argparse.ArgumentParser(prog="python -m docs.site.report", description=about)
     parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="+", type=Path)
     live = wasm.can_compile()
-    try:
-        build(parser.parse_args().notebooks, live=live)
-    except KeyboardInterrupt:
-        parser.exit(130, "report: interrupted; an older report stays unchanged\n")
+    build(parser.parse_args().notebooks, live=live)
     if not live:
         print("report: without the live page, because ziglang is not installed")
 

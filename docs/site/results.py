@@ -19,8 +19,6 @@ from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 from notebooks.studies.tables import to_markdown
 
-__all__ = ["BLOCKS", "PAGES", "rewrite", "write"]
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     "README.md",

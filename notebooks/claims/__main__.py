@@ -60,8 +60,10 @@ def _report_lines(id_, fields):
         f"  test: {with_minus(claim.test)}",
         f"  verdict: {verdict}{derived}",
     ]
-    lines += [_line(name, found, claim.rule.unit) for name, found in findings[id_].items()]
-    lines += [_line(f"beside it: {what}", found) for what, found in beside[id_].items()]
+    unit = claim.rule.unit.removeprefix("-")
+    for name, found in findings[id_].items():
+        lines.append(_line(name or "in all cases", found, unit, found.verdict))
+    lines += [_line(f"beside it: {what}", found, "", "") for what, found in beside[id_].items()]
     lines += [f"  why: {claim.why}"] if claim.why else []
     if evidence.driven_tables_of(claim.rule.by_condition.values()):
         lines.append(f"  seeds 0 to {fields - 1}; intervals and verdicts at {CONFIDENCE:.0%}")
@@ -69,13 +71,11 @@ def _report_lines(id_, fields):
     return lines
 
 
-def _line(name, found, unit=""):
-    """A condition, its number with its interval, n and verdict."""
+def _line(name, found, unit, verdict):
+    """A condition, or what stands beside it: its number with its interval, n and verdict."""
     number = interval_text(found.value, found.low, found.high)
-    unit = "" if unit in ("", "-") else f" {unit}"
-    numbers = f"{number}{unit}, n = {found.n}: " if number else ""
-    judged = found.verdict if not name.startswith("beside") else ""
-    return f"    {name or 'in all cases'}: {numbers}{judged}".rstrip(": ")
+    numbers = [f"{number} {unit}".rstrip(), f"n = {found.n}"] if number else []
+    return f"    {name}: " + ": ".join(filter(None, [", ".join(numbers), verdict]))
 
 
 def main(arguments=None):
@@ -98,7 +98,7 @@ def main(arguments=None):
         print("\n".join(_listed()))
     try:
         for line in itertools.chain(*(_report_lines(id_, given.fields) for id_ in ids)):
-            print(line, flush=True)
+            print(line)
     except ValueError as error:
         parser.exit(2, f"{error}\n")
 

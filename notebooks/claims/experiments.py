@@ -253,7 +253,7 @@ def _iterations(process_noise, seed, many=10):
     return row | dict(max_warm=np.abs(warm[settled]).max())
 
 
-def lowest_traction(process_noise, most=400):
+def lowest_traction(process_noise, most=414):
     """Search for a traction estimate of the augmented EKF below zero.
 
     Differential evolution chooses start, first guess of the yaw, soil, bumps and field until an
@@ -276,7 +276,7 @@ def lowest_traction(process_noise, most=400):
     optimize.differential_evolution(
         lowest,
         [*ranges.values()],
-        maxiter=most // (3 * len(ranges)),
+        maxiter=most // (3 * len(ranges)) - 1,  # beside the first generation
         callback=lambda _, convergence: min(row["lowest"] for row in rows) < 0,
         **options,
     )

@@ -28,13 +28,13 @@ _COLUMNS = (
 
 
 def _largest_p(findings, verdict):
-    """The largest p of the conditions; undecided ones count only where they decide. -1 if none."""
+    """The largest p of the conditions; undecided ones count only where they decide. NaN if none."""
     ps = [
         finding.p
         for finding in findings.values()
         if verdict == UNDECIDED or finding.verdict != UNDECIDED
     ]
-    return np.nanmax([*ps, -1])
+    return pd.Series(ps, dtype=float).max()
 
 
 def _other(findings, deciding):
@@ -92,7 +92,7 @@ def ledger(findings, looks, beside, shares, claims=CLAIMS):
         _row(id_, claim, findings[id_], looks[id_], beside[id_], shares.get(id_))
         for id_, claim in claims.items()
     ]
-    table = pd.DataFrame(rows, columns=_COLUMNS).replace({"p": {-1.0: np.nan}})
+    table = pd.DataFrame(rows, columns=_COLUMNS)
     chance = table["p"].notna()
     adjusted = stats.false_discovery_control(table.loc[chance, "p"], method="by")
     # Claims share runs, so their tests are dependent; Benjamini and Yekutieli allow for that.
@@ -100,12 +100,11 @@ def ledger(findings, looks, beside, shares, claims=CLAIMS):
     return table
 
 
-def coverages(tables, trials=2000):
+def coverages(tables):
     """How often the intervals behind the ledger cover the truth, by resampling.
 
     Args:
         tables: The evidence, of `evidence.collect`.
-        trials: Of each statistic.
 
     Returns:
         DataFrame, one row a process noise and a statistic of RUNS' metrics.
@@ -122,7 +121,7 @@ def coverages(tables, trials=2000):
             # Unequal tables are cut to the seeds that both have.
             found = [tables[process_noise, "runs", id_][metric] for id_ in ids]
             n = min(map(len, found))
-            share = coverage(statistic, *(values[:n] for values in found), trials=trials)
+            share = coverage(statistic, *(values[:n] for values in found))
             about = dict(statistic=statistic.__name__, runs=" ".join(ids), metric=metric)
             rows.append(about | dict(process_noise=process_noise, n=n, coverage=share))
     return pd.DataFrame(rows)

@@ -13,8 +13,6 @@ from rhec.core._casadi.compiled import BufferedFunction
 from rhec.simulation.closed_loop import world_of
 from rhec.simulation.parts import measuring, moving
 
-__all__ = ["LiveRobot"]
-
 
 class LiveRobot:
     """A robot that is measured and driven in turn: `for z in robot: …; robot.drive(omega)`.

@@ -2,12 +2,10 @@
 
 claims.toml holds each sentence of the paper and how it is judged; its first lines say what each
 entry means. Evidence is {(process noise, kind, id): DataFrame}, where kind is "runs", "logs" or
-"experiments". Rules that are arithmetic on the paper's own numbers need no evidence; they are
-functions here.
+"experiments". What follows from the paper's own numbers needs no evidence; it is computed here.
 """
 
 import inspect
-import re
 import tomllib
 from collections.abc import Callable
 from functools import partial
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from notebooks.claims.run_sets import PROCESS_NOISES
 from notebooks.studies import statistics, timing
@@ -95,12 +94,7 @@ class Claim(NamedTuple):
     mended: str
 
 
-# Rules on the paper's own numbers: functions of the evidence, which most of them do not need.
-
-
-def _untestable(evidence, confidence):
-    """No run here can decide."""
-    return Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE)
+# Rules that are judged on nothing or by the paper's own numbers
 
 
 def _yaw_rate_error(evidence, confidence):
@@ -109,72 +103,46 @@ def _yaw_rate_error(evidence, confidence):
     return Finding(*statistics.mean(errors)[:4], UNTESTABLE)
 
 
-def _row_clearance(evidence, confidence):
-    """(row spacing - stem - GNSS - robot width) / 2 is the tolerance, to the nearest cm."""
-    taken = paper.STEM_WIDTH_M + paper.GNSS_ACCURACY_M + paper.ROBOT_WIDTH_M
-    return statistics.equal((paper.ROW_SPACING_M - taken) / 2, paper.TOLERANCE_M, 0.005)
-
-
-def _sampling_time(evidence, confidence):
-    """The sampling time is in the range of milliseconds: below 100 of them."""
-    return statistics.between(paper.DT_S, below=0.1)
-
-
-def _process_noise_sizes(evidence, confidence):
-    """Every entry of W of a measured quantity exceeds every entry of one that is not measured.
-
-    It is judged by the ratio of the smallest of the former to the largest of the latter.
-    """
+def _known_findings():
+    """{name: {condition: Finding}} of what follows from the paper's own numbers without a run."""
+    times_ms = pd.DataFrame(paper.TABLE_1_MS, index=["minimum", "average", "maximum"])
+    whole_ms, preparation_ms, feedback_ms = (
+        times_ms.xs(phase, axis=1, level=1) for phase in ("overall", "preparation", "feedback")
+    )
+    # A sample reaches the sum of two maxima only if both phases are worst at that sample.
+    apart_ms = (whole_ms - preparation_ms - feedback_ms).loc[["minimum", "maximum"]].abs()
+    average_ms = times_ms.loc["average"]
+    free_m = paper.ROW_SPACING_M - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M - paper.ROBOT_WIDTH_M
     measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
     unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
-    return statistics.between(min(measured) / max(unmeasured), above=1)
+    between, equal = statistics.between, statistics.equal
+    alone = {
+        "untestable": Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE),
+        "row_clearance": equal(free_m / 2, paper.TOLERANCE_M, 0.005),  # to the nearest cm
+        "sampling_time": between(paper.DT_S, below=0.1),  # in the range of milliseconds
+        "process_noise_sizes": between(min(measured) / max(unmeasured), above=1),
+        "table_sums": equal(average_ms[[*timing.PHASES]].sum(), paper.STEP_MEAN_MS, 0.01),
+        "table_extremes": between(apart_ms.min(axis=None), above=2e-4),
+        "feedback_share": between(feedback_ms.loc["average"].sum() / paper.STEP_MEAN_MS, below=1),
+    }
+    # The paper counts two parameters in eq. (6).
+    counts = {
+        condition: equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
+        for condition, speed_model in {AS_PRINTED: "parameter", "ν as input": "input"}.items()
+    }
+    return {name: {"": finding} for name, finding in alone.items()} | {"parameters_of_p": counts}
 
 
-def _table_sums(evidence, confidence):
-    """The averages of the four phases add up to that of the whole step."""
-    phases_ms = sum(paper.TABLE_1_MS[phase][1] for phase in timing.PHASES)
-    return statistics.equal(phases_ms, paper.STEP_MEAN_MS, 0.01)
-
-
-def _table_extremes(evidence, confidence):
-    """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
-
-    A sample reaches the sum of two maxima only if both phases are worst at that sample. It is
-    judged by the smallest of the four differences [ms].
-    """
-    differences = []
-    for problem in ("RHE", "RHC"):
-        for place in (0, 2):  # minimum and maximum
-            parts = [paper.TABLE_1_MS[problem, name][place] for name in ("preparation", "feedback")]
-            differences.append(paper.TABLE_1_MS[problem, "overall"][place] - sum(parts))
-    return statistics.between(np.min(np.abs(differences)), above=2e-4)
-
-
-def _feedback_share(evidence, confidence):
-    """The feedback phases of RHE and RHC are less than the whole step, by the paper's averages."""
-    feedback_ms = sum(paper.TABLE_1_MS[problem, "feedback"][1] for problem in ("RHE", "RHC"))
-    return statistics.between(feedback_ms / paper.STEP_MEAN_MS, below=1)
-
-
-def _parameters_of_p(speed_model, evidence, confidence):
-    """Eq. (6) has the two parameters that the paper counts."""
-    return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
+def _known(finding):
+    """The Condition of a Finding that no evidence changes."""
+    return Condition(lambda evidence, confidence: finding)
 
 
 _EXACT_RULES = {  # name: {condition: Condition}
-    "untestable": {"": Condition(_untestable)},
-    "yaw_rate_error": {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))},
-    "row_clearance": {"": Condition(_row_clearance)},
-    "sampling_time": {"": Condition(_sampling_time)},
-    "process_noise_sizes": {"": Condition(_process_noise_sizes)},
-    "table_sums": {"": Condition(_table_sums)},
-    "table_extremes": {"": Condition(_table_extremes)},
-    "feedback_share": {"": Condition(_feedback_share)},
-    "parameters_of_p": {
-        AS_PRINTED: Condition(partial(_parameters_of_p, "parameter")),
-        "ν as input": Condition(partial(_parameters_of_p, "input")),
-    },
+    name: {condition: _known(finding) for condition, finding in findings.items()}
+    for name, findings in _known_findings().items()
 }
+_EXACT_RULES["yaw_rate_error"] = {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))}
 
 
 # Rules on tables
@@ -195,15 +163,8 @@ class _RuleKind(NamedTuple):
     paper: str = ""
     combined: Callable = statistics.combined
 
-    @property
-    def takes(self):
-        """How many samples it takes: its parameters before the first that is a setting."""
-        names = list(inspect.signature(self.judge).parameters)
-        return next(place for place, name in enumerate(names) if name in _SETTINGS)
-
 
 _EVERY_CASE = "every case"
-_SETTINGS = ("above", "below", "least", "number", "within", "confidence")
 _RULES = {
     "always": _RuleKind(statistics.always, _EVERY_CASE, "all"),
     "always_relative_to_oracle": _RuleKind(statistics.always_relative_to_oracle, _EVERY_CASE),
@@ -231,7 +192,11 @@ def _judge(evidence, confidence, rule, bounds, tables, expressions):
     """
     found = [evidence[table] for table in tables]
     n = min(map(len, found))
-    values = [_value(table[:n], expression) for table in found for expression in expressions]
+    values = [
+        pd.eval(expression, engine="python", resolvers=[table[:n]])
+        for table in found
+        for expression in expressions
+    ]
     return rule(*values, **bounds, confidence=confidence)
 
 
@@ -241,19 +206,6 @@ def _unless_lost(evidence, confidence, judge, rival):
     if is_lost(evidence[rival]["mean_error_m"].mean()):
         return finding._replace(verdict=LOST, p=np.nan)
     return finding
-
-
-def _value(table, expression):
-    """An expression of a table's columns.
-
-    pandas prepares each column of a table for an expression, which takes ten times as long as the
-    expression itself: it gets only those that are named, and nothing to do for a single name.
-    """
-    if expression in table:
-        return table[expression]
-    words = set(re.findall(r"\w+", expression))
-    named = [name for name in table.columns if name in words]
-    return table[named].eval(expression, engine="python")
 
 
 def _condition(entry, expressions, process_noise, instead):
@@ -269,9 +221,6 @@ def _condition(entry, expressions, process_noise, instead):
         bounds["number"] = entry["paper"]
     tables = tuple((process_noise, _KINDS[kind], instead.get(id_, id_)) for id_ in entry[kind])
     columns = [expressions.get(each, each) for each in entry["of"]]
-    if len(tables) * len(columns) != rule.takes:
-        given = f"{len(tables)} table(s) and {len(columns)} expression(s)"
-        raise ValueError(f"{settings['name']} takes {rule.takes} sample(s), not those of {given}")
     judge = partial(
         _judge,
         rule=rule.judge,
@@ -286,8 +235,12 @@ def _condition(entry, expressions, process_noise, instead):
 
 
 def _process_noises(entry):
-    """The process noises that an entry is judged under; "all" are those of every rule of W."""
-    noises = entry.get("process_noises", PROCESS_NOISES)
+    """The process noises that an entry is judged under; "all" are those of every rule of W.
+
+    None affects a property, so that one is left of them.
+    """
+    usual = ("printed",) if "property" in entry else PROCESS_NOISES
+    noises = entry.get("process_noises", usual)
     return tuple(CONDITIONS) if noises == "all" else tuple(noises)
 
 
@@ -322,16 +275,10 @@ def _rule_on_tables(entry, expressions, departures):
     sides = {">": settings.get("above"), "<": settings.get("below")}
     words = " and ".join(f"{sign} {bound:g}" for sign, bound in sides.items() if bound is not None)
     conditions = _by_condition(entry, expressions, _departures_of(entry, departures))
-    # Neither process noise nor world affects a property, so that one condition is left of each.
-    if "property" in entry:
-        conditions = {
-            name: condition
-            for name, condition in conditions.items()
-            if condition.tables[0][0] == "printed"
-        }
-        if len(conditions) == 1:
-            conditions = {"": conditions[AS_PRINTED]}
-    changes = "property" not in entry and not entry.get("derived", False)
+    is_exact = "property" in entry
+    if is_exact and len(conditions) == 1:
+        conditions = {"": conditions[AS_PRINTED]}
+    changes = not is_exact and not entry.get("derived", False)
     return Rule(
         conditions,
         settings.get("unit", "-"),
@@ -347,7 +294,6 @@ def _beside(entry, expressions):
     found = {}
     for part in entry.get("beside", []):
         for process_noise in _process_noises(part):
-            # No process noise affects a property: one of its equal numbers is left.
             name = "" if "property" in part else f", {CONDITIONS[process_noise]}"
             found[part["what"] + name] = _condition(part, expressions, process_noise, {})
     return found

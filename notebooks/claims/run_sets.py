@@ -67,23 +67,14 @@ def _like_rhe(estimator):
     Where that rule was not tuned for it, it has the RHE's own W and V, without those of what it
     does not estimate.
     """
-
-    noises = tuning.noises_of(by_name(estimator))
-
-    def noise(name, entries):
-        def of(process_noise, world):
-            if process_noise in noises:
-                return None
-            return getattr(tuning.NOISES["rhe"][process_noise], name)[:entries]
-
-        return of
-
-    entries = len(noises["printed"].sigma_w)
+    own = tuning.noises_of(by_name(estimator))
+    of_rhe = tuning.NOISES["rhe"]
+    entries = len(own["printed"].sigma_w)
     return dict(
         estimator=by_name(estimator),
-        process_noise=lambda rule, world: rule if rule in noises else None,
-        sigma_w=noise("sigma_w", entries),
-        sigma_v=noise("sigma_v", len(paper.SIGMA_V)),
+        process_noise=lambda rule, world: rule if rule in own else None,
+        sigma_w=lambda rule, world: None if rule in own else of_rhe[rule].sigma_w[:entries],
+        sigma_v=lambda rule, world: None if rule in own else of_rhe[rule].sigma_v,
     )
 
 

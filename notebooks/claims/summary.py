@@ -119,53 +119,49 @@ def changes(table, claims):
         DataFrame of texts: id, the paper's sentence, verdict before and now, and the reason, which
         is the change of the rule, if there is one, and the conditions that say otherwise.
     """
-    texts = ["id", "claim", "verdict", "conditions"]
-    before = pd.read_csv(_BEFORE)[texts].fillna("").set_index("id")
-    now = table[texts].fillna("").set_index("id")
+    before, now = (
+        part[["id", "claim", "verdict", "conditions"]].fillna("").set_index("id")
+        for part in (pd.read_csv(_BEFORE), table)
+    )
+    ids = [*now.index, *before.index.difference(now.index)]
+    # A claim that one of them does not have has empty texts there.
+    before, now = (part.reindex(ids, fill_value="") for part in (before, now))
     rows = []
-    for id_ in [*now.index, *before.index.difference(now.index)]:
-        old, new = (part.loc[id_] if id_ in part.index else None for part in (before, now))
-        words = [_NONE if row is None else row["verdict"] for row in (old, new)]
-        if words[0].replace(_OLD_RULE, _NEW_RULE) == words[1]:
+    for id_, old, new in zip(ids, before.itertuples(), now.itertuples()):
+        if old.verdict.replace(_OLD_RULE, _NEW_RULE) == new.verdict:
             continue
-        sentence = (old if new is None else new)["claim"]
-        reason = _reason(old, new, claims.get(id_)) if new is not None else _gone(id_, claims)
-        rows.append({"id": id_, "the paper": sentence, "before": words[0], "now": words[1]})
-        rows[-1]["reason"] = reason
-    return pd.DataFrame(rows, columns=["id", "the paper", "before", "now", "reason"])
+        row = {"id": id_, "the paper": new.claim or old.claim}
+        row |= {"before": old.verdict or "–", "now": new.verdict or "–"}
+        rows.append(row | {"reason": _reason(id_, old, new, claims)})
+    return pd.DataFrame(rows)
 
 
-_NONE = "–"
+def _reason(id_, old, new, claims):
+    """Why a verdict changed: the change of the rule, then the conditions that say otherwise.
 
-
-def _gone(id_, claims):
-    """Why a claim is no more: what the claim that mentions it says of its own rule."""
-    heirs = {heir: claim.mended for heir, claim in claims.items() if id_ in claim.mended.split()}
-    return "; ".join(f"{heir}: {mended}" for heir, mended in heirs.items()) or "It is left out."
-
-
-def _reason(old, new, claim):
-    """Why a verdict changed: the change of the rule, then the conditions that say otherwise."""
-    parts = [claim.mended if claim and claim.mended else _SAME_RULE]
-    if old is None:
-        return parts[0]
-    verdicts = [by_condition(row["conditions"]) for row in (old, new)]
-    both = [condition for condition in verdicts[1] if condition in verdicts[0]]
-    changed = [
-        f"{condition or 'in all cases'}: {verdicts[0][condition]} → {verdicts[1][condition]}"
-        for condition in both
-        if verdicts[0][condition] != verdicts[1][condition]
+    Of a claim that is no more: what the claim that mentions it says of its own rule.
+    """
+    if not new.verdict:
+        heirs = (f"{heir}: {of.mended}" for heir, of in claims.items() if id_ in of.mended.split())
+        return "; ".join(heirs) or "It is left out."
+    rule = claims[id_].mended or _SAME_RULE
+    if not old.verdict:
+        return rule
+    before, now = by_condition(old.conditions), by_condition(new.conditions)
+    said = [
+        f"{condition or 'in all cases'}: {before[condition]} → {verdict}"
+        for condition, verdict in now.items()
+        if before.get(condition, verdict) != verdict
     ]
-    added = [
-        f"{condition}, which is new: {verdicts[1][condition]}"
-        for condition in verdicts[1]
-        if condition not in verdicts[0]
+    said += [
+        f"{condition}, which is new: {verdict}"
+        for condition, verdict in now.items()
+        if condition not in before
     ]
-    return " ".join([*parts, *(f"{part}." for part in ["; ".join([*changed, *added])] if part)])
+    return f"{rule} {'; '.join(said)}." if said else rule
 
 
 def by_condition(conditions):
     """{condition: verdict} of "as printed: holds; W by likelihood: holds", in today's words."""
-    pairs = [part.rsplit(": ", 1) for part in conditions.split("; ") if part]
-    named = [pair if len(pair) == 2 else ["", *pair] for pair in pairs]
-    return {name.replace(_OLD_RULE, _NEW_RULE).strip(": "): verdict for name, verdict in named}
+    parts = (part.rpartition(": ") for part in conditions.split("; ") if part)
+    return {name.replace(_OLD_RULE, _NEW_RULE): verdict for name, _, verdict in parts}

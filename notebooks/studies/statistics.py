@@ -239,7 +239,7 @@ def share_interval(k, n, confidence=CONFIDENCE):
     return low, high
 
 
-def coverage(statistic, *samples, n=None, trials=4000):
+def coverage(statistic, *samples, trials=2000):
     """How often the 95 % interval holds the truth, by resampling.
 
     The samples stand for all pairs there are, so their statistic is the truth. Each trial draws
@@ -248,7 +248,6 @@ def coverage(statistic, *samples, n=None, trials=4000):
     Args:
         statistic: As for `over_seeds`.
         samples: Arrays of one length, paired.
-        n: Pairs in a trial; as many as there are, by default.
         trials: How many.
 
     Returns:
@@ -259,7 +258,7 @@ def coverage(statistic, *samples, n=None, trials=4000):
     truth = float(statistic(*samples, axis=-1))
     n_held = 0
     for _ in range(trials):
-        drawn = rng.integers(0, len(samples[0]), n or len(samples[0]))
+        drawn = rng.integers(0, len(samples[0]), len(samples[0]))
         low, high = _interval(*_estimate(statistic, [sample[drawn] for sample in samples]))
         n_held += low <= truth <= high
     return n_held / trials

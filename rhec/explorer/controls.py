@@ -103,11 +103,6 @@ RULES = tuning.RULES_IN_DEFAULT_WORLD
 PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
 _MEASURED = ("x [m]", "y [m]", "ν [m/s]", "ω [rad/s]")
-_NO_YES = ("no", "yes")
-_NOT_OR_ESTIMATED = ("not estimated", "estimated")
-_SPEEDS = ("constant in a window", "measured", "slipping tracks")
-_TURNS = ("to alternate sides", "left", "right", "figure of eight")
-_SOIL_UNDER = ("the middle", "each track")
 _FAULTS = (
     ("none", ()),
     ("no GNSS for 5 s", _fault(5.0, kind="missing")),
@@ -126,8 +121,8 @@ _SENSORS = tuple(
 )
 _CONTROLS = (
     _slider("estimation_horizon", "window [intervals]", 40, kind="whole"),
-    _selection("speed_model", "speed ν", _SPEEDS),
-    _selection("yaw_drift", "yaw drift", _NOT_OR_ESTIMATED),
+    _selection("speed_model", "speed ν", ("constant in a window", "measured", "slipping tracks")),
+    _selection("yaw_drift", "yaw drift", ("not estimated", "estimated")),
     _selection("arrival_mean", "arrival mean", ("filtered", "smoothed")),
     *_entries("sigma_w", "σ_W", _STATES, -4, 1, "log"),
     *_entries("sigma_v", "σ_V", _MEASURED, -4, 0, "log"),
@@ -144,8 +139,8 @@ _CONTROLS = (
     _slider("start_offset_m", "start beside", 3),
     _slider("start_yaw_rad", "start turned", 2),
     _slider("guess_yaw_rad", "yaw guess off", 2),
-    _selection("backwards", "backwards", _NO_YES),
-    _selection("turns", "turns", _TURNS),
+    _selection("backwards", "backwards", ("no", "yes")),
+    _selection("turns", "turns", ("to alternate sides", "left", "right", "figure of eight")),
     _slider("row_length_m", "row length", 100, 10),
     _slider("headland_radius_m", "turn radius", 20, 3),
     _slider("mu_mean", "μ mean", 0.99, 0.3),
@@ -153,7 +148,7 @@ _CONTROLS = (
     _slider("kappa_mean", "κ mean", 0.99, 0.3),
     _slider("kappa_deviation", "κ deviation", 0.3),
     _slider("correlation_length_m", "correlation", 20),
-    _selection("soil_under", "soil below", _SOIL_UNDER),
+    _selection("soil_under", "soil below", ("the middle", "each track")),
     _slider("slip_difference", "left slips more", 0.1, -0.1),
     _slider("bump_sigma_radps", "bumps", 0.2),
     _slider("rut_length_m", "ruts over", 3),
@@ -275,7 +270,7 @@ def tidy(control, value, before):
     """The value of a control without rounding errors; the previous value if it has not moved."""
     if isinstance(control, Selection):
         return value
-    if math.isclose(value, before, rel_tol=1e-9, abs_tol=1e-12):
+    if math.isclose(value, before):
         return before
     if control.kind == "whole":
         return int(value)

@@ -21,8 +21,8 @@ import ipywidgets as widgets
 from rhec import paper, style
 from rhec.core._casadi import early
 from rhec.explorer import controls, field_run
-from rhec.explorer.field_run import ZOOMS, colour_of, name_of
-from rhec.explorer.panels import packed
+from rhec.explorer.field_run import ZOOMS
+from rhec.explorer.panels import figure_of, packed
 from rhec.explorer.screen import CSS, Screen
 from rhec.files import replacing
 from rhec.simulation import closed_loop
@@ -51,16 +51,21 @@ _NO_WIDGETS = (
     "Controls and pictures need the widgets of Jupyter, which this page does not show. "
     "The method figure() of the explorer draws the picture."
 )
-_DRIVERS = ThreadPoolExecutor(2)  # one for each of the two runs
+_DRIVERS = ThreadPoolExecutor()  # each of two runs has a thread
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+def _name_of(run):
+    """What the run's estimator is called."""
+    return style.label_of(run.scenario.estimator)
 
 
 def metrics_table(runs, pinned=()):
     """An HTML table with the metrics of runs, and differences from the pinned runs."""
-    rows = [_table_row(run, name_of(run.scenario), _value, {}) for run in runs]
+    rows = [_table_row(run, _name_of(run), _value, {}) for run in runs]
     for run, before in zip(runs, pinned):
-        name = name_of(run.scenario)
-        pinned_name = name_of(before.scenario)
+        name = _name_of(run)
+        pinned_name = _name_of(before)
         title = f"{name} − pinned" + ("" if pinned_name == name else f" {pinned_name}")
         rows.append(_table_row(run, title, change, before.metrics))
     head = "".join(f"<th>{heading} <br>{below}</th>" for _, heading, below, _ in METRICS)
@@ -69,7 +74,7 @@ def metrics_table(runs, pinned=()):
 
 def _table_row(run, title, cell, subtracted):
     """The metrics of a run minus the subtracted ones, formatted by `cell`."""
-    swatch = f'<span style="color: {colour_of(run.scenario)}">━</span>'
+    swatch = f'<span style="color: {style.colour_of(run.scenario.estimator)}">━</span>'
     cells = [
         cell(run.metrics[name] - subtracted.get(name, 0), digits) for name, _, _, digits in METRICS
     ]
@@ -157,7 +162,7 @@ class Explorer(widgets.VBox):
         noise = values["process_noise"]
         self.process_noise = _list(controls.PROCESS_NOISES, noise, "noise", "158px", tooltip)
         look = _look("seed", "determines soil and noise", "112px", "36px")
-        self.seed = widgets.BoundedIntText(self.start.seed, min=0, max=10**9, **look)
+        self.seed = widgets.IntText(self.start.seed, **look)
         self.zoom = _list([(zoom, zoom) for zoom in ZOOMS], ZOOMS[0], "map", "142px")
         self.soil = _list([("of κ", "kappa"), ("of μ", "mu")], "kappa", "", "66px")
         self.weights = {
@@ -174,7 +179,7 @@ class Explorer(widgets.VBox):
         self.screen = Screen()
         self.patch_count = widgets.HTML()
         self.folder, self.name = (
-            widgets.Text(value, continuous_update=False, **_look(label, None, "96%", "50px"))
+            widgets.Text(value, **_look(label, None, "96%", "50px"))
             for label, value in (("folder", str(folder)), ("name", "run"))
         )
         tooltip = "CSV and Parquet of each run, the figure as PNG and PDF"
@@ -242,13 +247,19 @@ class Explorer(widgets.VBox):
         return callback
 
     @contextmanager
-    def _single_refresh(self):
-        """A context for changes of several controls, followed by one run."""
+    def _paused(self):
+        """A context for changes of controls that no run follows."""
         self.is_paused = True
         try:
             yield
         finally:
             self.is_paused = False
+
+    @contextmanager
+    def _single_refresh(self):
+        """A context for changes of several controls, followed by one run."""
+        with self._paused():
+            yield
         self._refresh()
 
     def _set_weights(self, q):
@@ -331,11 +342,12 @@ class Explorer(widgets.VBox):
         for widget in self.patch:
             widget.disabled = not self.patches
         self.patch_count.value = f"{len(self.patches)} now"
-        soil = self.soil.value
-        picture = field_run.picture_of(self.runs, self.pinned, self.zoom.value, soil)
-        self.screen.picture, self.screen.numbers = packed(picture)
+        self.screen.picture, self.screen.numbers = packed(self._picture())
         self.screen.table = metrics_table(self.runs, self.pinned)
         self.screen.line = repr(self.runs[0].scenario)
+
+    def _picture(self):
+        return field_run.picture_of(self.runs, self.pinned, self.zoom.value, self.soil.value)
 
     def _show_process_noise(self):
         """Set the sliders of σ_W and σ_V to the noise in use; a custom one enables them."""
@@ -346,9 +358,8 @@ class Explorer(widgets.VBox):
                 slider = self.inputs[name, place]
                 slider.disabled = rule != "custom"
                 if slider.disabled:
-                    self.is_paused = True  # no run follows this change
-                    slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
-                    self.is_paused = False
+                    with self._paused():
+                        slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
 
     def _fold_sensors(self):
         """Hide the sliders of sensors that the robot does not have."""
@@ -367,7 +378,7 @@ class Explorer(widgets.VBox):
     def __repr__(self) -> str:
         """The estimators with their errors, and the scenario as Python."""
         errors = [
-            f"{name_of(run.scenario)}: mean error {run.metrics['mean_error_m']:.4f} m, "
+            f"{_name_of(run)}: mean error {run.metrics['mean_error_m']:.4f} m, "
             f"true {run.metrics['mean_error_true_m']:.4f} m"
             for run in self.runs
         ]
@@ -376,14 +387,14 @@ class Explorer(widgets.VBox):
     def figure(self) -> "Figure":
         """The field run as a matplotlib figure."""
         with self.lock:
-            return field_run.field_run(self.runs, self.pinned, self.zoom.value, self.soil.value)
+            return figure_of(self._picture())
 
     def _save(self):
         name = _safe_name(self.name.value)
         folder = Path(self.folder.value).expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         for place, run in enumerate(self.runs, 1):
-            estimator = name_of(run.scenario).lower().replace(" ", "_")
+            estimator = _name_of(run).lower().replace(" ", "_")
             file = _safe_name(f"{name}_{place}_{estimator}")
             with replacing(folder / f"{file}.csv") as unfinished:
                 run.log.to_csv(unfinished, index=False)

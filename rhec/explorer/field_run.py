@@ -4,12 +4,14 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from rhec import paper, style
-from rhec.explorer.panels import Mark, Panel, Picture, figure_of
+from rhec.explorer.panels import Mark, Panel, Picture
 from rhec.style import BLACK, COLOURS
 
 ZOOMS = ("whole path", "first row", "worst place")
-DASHED = dict(width=0.6, dash=(2.4, 1.5))  # reference and bounds
-FAINT_TOLERANCE = dict(colour=COLOURS["tolerance"], alpha=0.35)
+_THIN = dict(width=0.5)  # other lines have a pixel; wider ones take a page five times as long
+_FAINT = dict(alpha=0.4)
+DASHED = _THIN | dict(dash=(2.4, 1.5))  # reference and bounds
+_TOLERANCE = _FAINT | dict(colour=COLOURS["tolerance"])
 
 # Names of the panels in the rows and columns of the picture.
 _LAYOUT = ("map mu", "map kappa", "error yaw_rate", "error kkt")
@@ -25,16 +27,11 @@ _SERIES = (
     ("kappa", "t_s", "kappa", "truth", ""),
     ("kappa", "t_s", "kappa_hat", "bold", ""),
     ("yaw_rate", "t_s", "omega_cmd_radps", "bold", ""),
-    ("kkt", "t_s", "kkt_rhc", "second", "RHC"),
+    ("kkt", "t_s", "kkt_rhc", "faint", "RHC"),
     ("kkt", "t_s", "kkt_rhe", "bold", ""),
 )
 _KKT_SAMPLES = 25  # of the running median: from sample to sample it jumps by powers of ten
-_LOOKS = {
-    "bold": dict(width=0.75),  # a pixel: a page takes five times as long for wider ones
-    "second": dict(width=0.7, alpha=0.5),
-    "faint": dict(width=0.4, alpha=0.4),
-    "truth": dict(width=0.6, colour=BLACK),
-}
+_LOOKS = {"bold": {}, "faint": _THIN | _FAINT, "truth": _THIN | dict(colour=BLACK)}
 # In the words of the live page.
 _TITLES = {
     "error": "True distance from the path [m]; faint: by GNSS",
@@ -45,25 +42,9 @@ _TITLES = {
 }
 
 
-def name_of(scenario):
-    """The name of the estimator in legends."""
-    return style.label_of(scenario.estimator)
-
-
-def colour_of(scenario):
-    """The colour of the estimator."""
-    return style.colour_of(scenario.estimator)
-
-
 def places_beside(poses, across_m):
     """Points (n, 2) at a distance to the left of poses (n, 3) [m]."""
     return poses[:, :2] + across_m * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
-
-
-def tolerance_band(poses):
-    """Outline (2 n, 2) of the tolerance on either side of poses (n, 3) [m]."""
-    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
-    return np.concatenate([left, right[::-1]])
 
 
 def rectangle(xlim, ylim, **look):
@@ -71,18 +52,13 @@ def rectangle(xlim, ylim, **look):
     return Mark("area", np.repeat(xlim, 2), np.array([*ylim, *ylim[::-1]]), **look)
 
 
-def level(xlim, y, **look):
-    """A line at one height."""
-    return Mark("line", np.array(xlim), np.array([y, y]), **look)
-
-
 # Limits in coarse steps, which do not change with small changes of the data
 
 
 def round_up_to(value):
     """The smallest 0.15 · 2ⁿ, n = 0 to 11, not below the value; the largest for NaN and beyond."""
-    doublings = np.ceil(np.log2(max(value, 0.15) / 0.15)) if value < 300 else 11
-    return 0.15 * 2.0**doublings
+    doublings = np.ceil(np.log2(np.maximum(value, 0.15) / 0.15))
+    return 0.15 * 2.0 ** np.fmin(doublings, 11)
 
 
 def _common_range(columns, *names):
@@ -118,21 +94,22 @@ def _worst_place(run):
 def _map_limits(run, zoom):
     """((x, x_end), (y, y_end), scale) of a zoom."""
     path = run.path
-    points = np.reshape(path.box, (2, 2)).T
     start_m = abs(run.scenario.start_offset_m)
-    margin_m = 2.0 + start_m
+    margin_m = 2.0
     if zoom == "first row":
         margin_m = 1.1 * round_up_to(start_m)
         end = path.segments[1, 0] if len(path.segments) > 1 else path.length_m
         points = path.poses([0.0, end])[0][:, :2]
     elif zoom == "worst place":
         points = np.round(np.transpose(_worst_place(run)))
-        margin_m = 2.5
+    else:
+        margin_m += start_m
+        points = np.reshape(path.box, (2, 2)).T
     ends = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
     return *np.transpose(ends).tolist(), "" if zoom == "first row" else "equal"
 
 
-def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
+def picture_of(runs, pinned, zoom, soil):
     """The Picture of field runs.
 
     Args:
@@ -146,8 +123,10 @@ def picture_of(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
     bound = first.scenario.omega_max_radps
     limits = _limits(columns, bound)
     marks = {panel: _curves(first, ylim) for panel, ylim in limits.items()}
-    marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **FAINT_TOLERANCE))
-    marks["yaw_rate"] += [level(time, at, **DASHED) for at in (-bound, bound)]
+    marks["error"].append(rectangle(time, (0.0, paper.TOLERANCE_M), **_TOLERANCE))
+    marks["yaw_rate"] += [
+        Mark("line", np.array(time), np.array([at, at]), **DASHED) for at in (-bound, bound)
+    ]
     marks["map"] = _ground(first, soil)
     drawn = [("", run, place) for place, run in enumerate(runs)]
     drawn += [("pinned ", run, place) for place, run in enumerate(pinned)]
@@ -185,9 +164,10 @@ def _ground(run, soil):
     grid = (at + terrain.cell_m * np.arange(n) for at, n in zip(terrain.origin_m, field.shape))
     length_m = run.path.length_m
     poses, _ = run.path.poses(np.append(np.arange(0, length_m, 0.25), length_m))
+    left, right = (places_beside(poses, side * paper.TOLERANCE_M) for side in (1, -1))
     return [
         Mark("soil", *(at[::every] for at in grid), traction=field[::every, ::every]),
-        Mark("area", *tolerance_band(poses).T, **FAINT_TOLERANCE | dict(alpha=0.5)),
+        Mark("area", *np.concatenate([left, right[::-1]]).T, **_TOLERANCE),
         Mark("line", *poses[:, :2].T, **DASHED, label="path, and bounds"),
     ]
 
@@ -195,12 +175,12 @@ def _ground(run, soil):
 def _series(kind, run, place):
     """Yield (panel, Mark) for each line of a run."""
     for panel, x, y, look, note in _SERIES:
-        drawn = dict(colour=colour_of(run.scenario)) | _LOOKS[look]
+        drawn = dict(colour=style.colour_of(run.scenario.estimator)) | _LOOKS[look]
         if kind and look != "bold":
             continue
         if kind or (look == "truth" and place):
-            drawn |= dict(dash=DASHED["dash"], alpha=0.6)
-        label = kind + name_of(run.scenario)
+            drawn |= _FAINT | dict(dash=DASHED["dash"])
+        label = kind + style.label_of(run.scenario.estimator)
         if look == "truth":
             note = f"of {label}" if place else ""
             label = "truth"
@@ -208,8 +188,3 @@ def _series(kind, run, place):
         if panel == "kkt":
             values = median_filter(values, _KKT_SAMPLES, mode="nearest")
         yield panel, Mark("line", run.columns[x], values, label=label, note=note, **drawn)
-
-
-def field_run(runs, pinned=(), zoom=ZOOMS[0], soil="kappa"):
-    """The matplotlib Figure of field runs; arguments as in `picture_of`."""
-    return figure_of(picture_of(runs, pinned, zoom, soil))

@@ -3,7 +3,6 @@
 Matplotlib draws them as a figure; a page draws them from a list of marks and a buffer of numbers.
 """
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +104,6 @@ def _draw(axes, mark, height):
         axes.add_line(_line(mark, mark.x, mark.y, zorder=height))
 
 
-@functools.cache
 def _wet():
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -125,31 +123,6 @@ def _line(mark, x, y, **more):
     return Line2D(x, y, **look, **more)
 
 
-class _Numbers:
-    """The arrays of a picture, one after the other."""
-
-    def __init__(self):
-        self.places = {}
-        self.arrays = []
-        self.end = 0
-
-    def place(self, array):
-        """Index of an array's first number, and its length."""
-        if id(array) not in self.places:  # many lines share the array of times
-            self.places[id(array)] = self.end, array.size
-            self.arrays.append(array.ravel())
-            self.end += array.size
-        return self.places[id(array)]
-
-    def marks(self, marks):
-        """Descriptions of marks."""
-        return [_look(mark) | self._arrays(mark) for mark in marks]
-
-    def _arrays(self, mark):
-        arrays = dict(x=mark.x, y=mark.y, traction=mark.traction)
-        return {name: self.place(array) for name, array in arrays.items() if array is not None}
-
-
 def _look(mark):
     colour = _PAGE_COLOURS.get(mark.colour, mark.colour)
     width = mark.width * _PX
@@ -163,13 +136,26 @@ def packed(picture):
 
     The description of an array is (index of its first number, length).
     """
-    numbers = _Numbers()
+    arrays = []
+    places = {}  # of each array by its id: many lines share the array of times
+
+    def place(array):
+        if id(array) not in places:
+            places[id(array)] = sum(each.size for each in arrays), array.size
+            arrays.append(array.ravel())
+        return places[id(array)]
+
+    def described(mark):
+        drawn = dict(x=mark.x, y=mark.y, traction=mark.traction)
+        own = {name: place(array) for name, array in drawn.items() if array is not None}
+        return _look(mark) | own
+
     panels = {
-        name: panel._replace(marks=numbers.marks(panel.marks))._asdict()
+        name: panel._replace(marks=[described(mark) for mark in panel.marks])._asdict()
         for name, panel in picture.panels.items()
     }
     legend = [_look(mark) for mark in picture.legend]
     content = dict(layout=picture.layout, panels=panels, legend=legend)
     with np.errstate(over="ignore"):
-        joined = np.concatenate(numbers.arrays, dtype=np.float32, casting="same_kind")
+        joined = np.concatenate(arrays, dtype=np.float32, casting="same_kind")
     return content, joined.tobytes()

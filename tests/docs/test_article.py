@@ -44,12 +44,6 @@ def test_cases_of_faults_are_counted_as_the_notebook_counts_them():
         assert int(row["recovered"]) == (of["back"] / of["n"]).eq(1).sum()
 
 
-def test_every_picture_is_saved_by_a_notebook():
-    notebooks = "".join(file.read_text() for file in article.ROOT.glob("notebooks/*.ipynb"))
-    for name in re.findall(r'#picture\("(\w+)"', SOURCE):
-        assert f'\\"{name}\\"' in notebooks, name
-
-
 def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_path):
     from matplotlib.figure import Figure
 

@@ -71,12 +71,6 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         assert [text.partition(" ")[2] for text in shown] == expected
 
 
-def test_a_difference_has_a_minus(page):
-    _, all_cards = page
-    (rule,) = all_cards["B5"].select(".claim-words dd")[:1]
-    assert "RHE − EKF" in rule.text
-
-
 def test_the_overview_links_every_card_and_the_filter_counts_them(page):
     soup, all_cards = page
     links = [link["href"][1:] for link in soup.select(".claim-map a")]

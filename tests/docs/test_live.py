@@ -72,16 +72,6 @@ def test_soil_of_every_start_and_path_is_a_part_of_the_data(kind, turns, seed, o
     np.testing.assert_allclose(fields[:, :rows, :columns], expected, atol=page.TRACTION_STEP)
 
 
-@pytest.mark.parametrize("name", page.STRUCTURES)
-def test_the_first_memory_is_affine_in_the_start(name):
-    own = page.STRUCTURES[name]
-    memory, directions = page.affine_memory(own)
-    for field, direction in directions.items():
-        memory = memory + START[field] * direction
-    expected = closed_loop.set_up(rhec.Scenario(**own, **START)).memory
-    np.testing.assert_allclose(memory, expected, atol=1e-12)
-
-
 @pytest.mark.nightly(keep=4)
 @pytest.mark.parametrize("turns", page.TURNS.values())
 @pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
@@ -99,6 +89,19 @@ def test_errors_are_those_of_the_run(turns, own):
     assert np.sign(found["left_m"][0]) == np.sign(run.scenario.start_offset_m)
 
 
+def compiled_text(text, folder):
+    """The library of a C text, and a function from an array's name and length to its numbers."""
+    (folder / "code.c").write_text(text, encoding="utf-8")
+    options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
+    subprocess.run([compiled.compiler(), *options], cwd=folder, check=True)
+    library = ctypes.CDLL(str(folder / "code.so"))
+
+    def array(name, length):
+        return np.ctypeslib.as_array((ctypes.c_double * length).in_dll(library, f"at_{name}"))
+
+    return library, array
+
+
 def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
     scenario = rhec.Scenario(duration_s=20.0, turns="left")
     setup = closed_loop.set_up(scenario)
@@ -106,14 +109,11 @@ def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
     n = len(run.log)
     shape = common_shape(setup.terrain)
     built = functions.build_functions(scenario, shape)
-    (tmp_path / "code.c").write_text(functions.c_text(built), encoding="utf-8")
-    options = ["-shared", "-fPIC", "-w", "-ffp-contract=off", "code.c", "-lm", "-o", "code.so"]
-    subprocess.run([compiled.compiler(), *options], cwd=tmp_path, check=True)
-    library = ctypes.CDLL(str(tmp_path / "code.so"))
-
-    def array(name, length):
-        return np.ctypeslib.as_array((ctypes.c_double * length).in_dll(library, f"at_{name}"))
-
+    text = functions.c_text(built)
+    room = {name: int(n) for name, n in re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M)}
+    assert room["memory"] == (functions.MAX_SAMPLES + 1) * len(setup.memory)  # the first one, too
+    assert room["length_m"] == 1 and room["row"] >= functions.MAX_SAMPLES * len(COLUMNS)
+    library, array = compiled_text(text, tmp_path)
     noise = plant.draw_noise(scenario.seed, n)
     given = setup.settings | dict(length_m=setup.path.length_m, noise=noise.T)
     given |= dict(memory=setup.memory)
@@ -157,14 +157,11 @@ def test_the_line_that_is_drawn_is_the_path_in_equal_steps(turns):
     line = np.array(field["path"])
     distances, _ = path.project(line)
     assert distances.max() < 1e-3  # it is rounded to a millimetre
+    ends = line.min(axis=0), line.max(axis=0)
+    np.testing.assert_allclose([field["lowest"], field["highest"]], ends, atol=0.02)
     steps = np.hypot(*np.diff(line, axis=0, append=line[:1]).T)
     assert 0.97 * field["path_step_m"] < steps.min() and steps.max() < 1.003 * field["path_step_m"]
     assert len(line) * field["path_step_m"] == pytest.approx(path.length_m)
-
-
-def test_the_page_has_as_many_seeds_as_it_says():
-    text = (page.HERE / "live.html.j2").read_text(encoding="utf-8")
-    assert "of the ten seeds" in text and [*page.SEEDS] == [*range(10)]
 
 
 def test_every_parameter_that_moves_has_a_slider_around_its_first_value():
@@ -188,8 +185,6 @@ def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
     monkeypatch.setattr(page, "_module", lambda own: dict(of=sorted(own)))
     monkeypatch.setattr(page, "_tools", lambda: dict(order=["shift"]))
     monkeypatch.setattr(page, "SEEDS", range(1))
-    (tmp_path / "live").mkdir()
-    (tmp_path / "live/old.js").touch()
     page.write(tmp_path)
     arrived = {}
     for file in (tmp_path / "live").glob("*.js"):
@@ -208,7 +203,9 @@ def test_what_is_written_arrives_under_its_name(monkeypatch, tmp_path):
         each.get("src") or each["href"] for each in html.select("script, link[rel=stylesheet]")
     ]
     assert loaded and all((tmp_path / file).exists() for file in loaded)
-    assert not (tmp_path / "live/old.js").exists()
+    # With the quotes that stand in them.
+    tooltips = [slider["tooltip"] for group in world["groups"].values() for slider in group]
+    assert [label["title"] for label in html.select("#sliders label[title]")] == tooltips
 
 
 @pytest.mark.parametrize("name", ["rhe_5", "ekf_faulty"])
@@ -218,10 +215,12 @@ def test_a_module_comes_with_what_its_loop_needs(name, monkeypatch):
     made = page._module(own)
     scenario = rhec.Scenario(**own)
     setup = closed_loop.set_up(scenario)
+    # Its first memory is affine in where and how fast the robot starts.
     memory = np.array(made["memory"], dtype=float)
     for field, direction in made["directions"].items():
-        memory = memory + getattr(scenario, field) * np.array(direction)
-    np.testing.assert_allclose(memory, setup.memory, atol=1e-12)
+        memory = memory + START[field] * np.array(direction)
+    expected = closed_loop.set_up(dataclasses.replace(scenario, **START)).memory
+    np.testing.assert_allclose(memory, expected, atol=1e-12)
     pieces = setup.unpack(setup.memory)
     np.testing.assert_array_equal(setup.memory[made["places"]["plan"]], pieces["controller"]["s"].T)
     for of in set(made["places"]) - {"plan"}:
@@ -265,15 +264,13 @@ def test_the_scenes_are_those_of_their_words():
     assert not any(rhec.Scenario(faults=of).sensors for of in page.FAULTS.values())
     assert world["noise"]["n"] == plant.draw_noise(0, 1).size
     assert world["robot_m"] == (paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M)
+    text = (page.HERE / "live.html.j2").read_text(encoding="utf-8")
+    assert "of the ten seeds" in text and [*page.SEEDS] == [*range(10)]
 
 
-def test_without_a_compiler_the_page_is_left_out_and_says_so(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(wasm, "can_compile", lambda: False)
-    monkeypatch.setattr("sys.argv", ["page", str(tmp_path)])
-    page._main()
-    assert not [*tmp_path.iterdir()]
-    assert capsys.readouterr().out == "live page: left out, since ziglang is not installed\n"
+def test_without_a_compiler_the_page_is_left_out_and_the_report_says_so(monkeypatch, capsys):
     built = []
+    monkeypatch.setattr("sys.argv", ["report", "one.ipynb"])
     monkeypatch.setattr(report, "build", lambda notebooks, live: built.append(live))
     for can_compile in (False, True):
         monkeypatch.setattr(wasm, "can_compile", lambda can_compile=can_compile: can_compile)
@@ -353,6 +350,23 @@ def test_the_storys_other_filters_begin_at_the_loops_guess(taken_apart):
     P = found["kalman"][6:42].reshape(6, 6)
     assert [*found["kalman"][:6]] == [*guess]
     np.testing.assert_allclose(P, setup.unpack(setup.memory)["estimator"]["P"])
+
+
+def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path):
+    tools, setup, memory, z, _ = taken_apart
+    some = {name: tools[name] for name in ("shift", "reckon")}
+    library, array = compiled_text(window.c_text(some), tmp_path)
+    given = dict(memory=memory, pose=[1.0, 2.0, 0.3], z_N=z[3])
+    given |= {name: setup.settings[name] for name in ("V", "W")}
+    for which, (name, function) in enumerate(some.items()):
+        for of in function.name_in():
+            array(f"{name}_{of}", function.nnz_in(of))[:] = given[of]
+        assert library.run(which) == 0
+        results = function(**{of: given[of] for of in function.name_in()})
+        for of, expected in results.items():
+            found = array(f"{name}_new_{of}", function.nnz_out(of))
+            np.testing.assert_allclose(found, expected.nonzeros(), atol=1e-12)
+    assert library.run(len(some)) == 1
 
 
 def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):

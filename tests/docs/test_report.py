@@ -4,6 +4,7 @@ tests/browser/test_report.py looks at the report that `make report` has built.
 """
 
 import hashlib
+import inspect
 import re
 from base64 import b64encode
 from fnmatch import fnmatch
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
 from matplotlib.figure import Figure
@@ -21,26 +23,30 @@ from sphinx.application import Sphinx
 import rhec
 from docs.site import report
 from docs.site.content_policy import with_policy
+from notebooks.studies import answer
 from rhec import style
 
 ROOT = Path(__file__).parents[2]
-DRAWN = ("fig99_line", "fig05_dot", "square")
+DRAWN = ("fig99_line", "fig05_dot", "square", "alone")
+TABLES = {"a_table.csv", "table1_times.csv"}
 
 
 @pytest.fixture
 def executed(tmp_path):
     """A notebook that saved a figure, as the runner leaves it."""
-    saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "table_one", "One")'
+    saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "a_table", "One")'
     dots = {"image/png": b64encode(b"dots").decode(), "text/html": "<img>", "text/plain": "Figure"}
-    more = v4.new_code_cell(
-        'style.save(figure, "fig05_dot")\nstyle.save(figure, "square")',
-        outputs=[v4.new_output("display_data", dots)],
-    )
+    drawn = v4.new_output("display_data", dots)
+    save = 'style.save(figure, "fig05_dot")\nstyle.save(figure, "square")'
+    more = v4.new_code_cell(save, outputs=[drawn])
+    alone = 'style.save(figure, "alone")\nstyle.save_table(table, "table1_times", "Times")'
+    claim = v4.new_output("display_data", {"text/html": "<td>B6</td><td>B66</td>"})
+    last = v4.new_code_cell(alone, outputs=[drawn, claim])
     widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
     cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
     file = tmp_path / "03_scenario_a.ipynb"
-    cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more]
+    cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more, last]
     record = dict(start_time="2026-11-28T09:15:00.123", duration=12.345, parameters=dict(seeds=3))
     metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}}, papermill=record)
     nbformat.write(v4.new_notebook(cells=cells, metadata=metadata), file)
@@ -52,8 +58,9 @@ def figures(tmp_path):
     """A folder with what that notebook saved, and with a person's own files."""
     folder = tmp_path / "figures"
     for name in DRAWN:
-        style.save(Figure(), name, folder=folder)
-    for name in ("table_one.csv", "mine.csv", "private.txt", "broken.png"):
+        width_in = style.COLUMN_IN if name == "square" else style.DOUBLE_IN
+        style.save(Figure(figsize=(width_in, 2)), name, folder=folder)
+    for name in (*TABLES, "mine.csv", "private.txt", "broken.png"):
         (folder / name).write_bytes("ä".encode("latin-1"))
     return folder
 
@@ -76,16 +83,23 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}
     drawn = {f"{name}.{kind}" for name in DRAWN for kind in ("png", "pdf")}
-    assert published - of_pages == {*drawn, "table_one.csv"}
+    assert published == {*drawn, *TABLES} | of_pages
     page = (source / "figures.md").read_text()
-    assert "**Figure 99.** A line, named." in page and "table_one.csv" in page
+    assert "**Figure 99.** A line, named." in page
+    # The paper's figures and tables come first; one as wide as a column stands beside others.
+    order = ["## The paper", "fig05_dot.png", "fig99_line.png", "## One", "square.png", "alone.png"]
+    places = [page.index(each) for each in (*order, "table1_times.csv", "a_table.csv")]
+    assert places == sorted(places)
+    assert page.count(":figclass: wide") == 3 and page.count("\n## ") == 3
     assert "leave each as PNG and PDF in `figures/`" in page
     provenance = (source / "provenance.md").read_text()
     for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
         assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
     run = "[03_scenario_a](notebooks/03_scenario_a.ipynb) | 2026-11-28 09:15:00 | 12.3 | seeds = 3"
     assert f"| {run} |" in provenance
-    assert all(f"licences/{package}.txt" in provenance for package in report.SHOWN)
+    for package in report.SHOWN:
+        assert f"licences/{package}.txt" in provenance
+        assert (source / f"licences/{package}.txt").read_text() == report.licence(package)
     parameters = (source / "parameters.md").read_text()
     assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
     # A picture of the paper that has another caption is numbered by its name, others are not.
@@ -95,9 +109,26 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert "widgets" not in laid_out.metadata  # their state, which needs a kernel
     cells = laid_out.cells
     assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
+    picture, table = (output.data for output in cells[4].outputs)
+    assert re.fullmatch(r"!\[.*\]\(../figures/alone.png\)", picture["text/markdown"])
+    assert table["text/html"] == '<td><a href="../claims.html#B6">B6</a></td><td>B66</td>'
     cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
+    assert cell.metadata["tags"] == ["hide-input"]
+    assert len(re.findall("(?m)^<section class=.claim.", (source / "claims.md").read_text())) > 80
+    shown = nbformat.read(executed, 4)
+    shown.metadata["rhec"] = dict(code="open")
+    report._prepare(shown)
+    assert "tags" not in shown.cells[1].metadata
+
+
+def test_the_cards_are_of_the_ledger_that_was_made_last(executed, figures, tmp_path):
+    claims = pd.read_csv(answer.RESULTS / "claims.csv")
+    claims.head(3).to_csv(figures / "claims.csv", index=False)
+    report._lay_out(tmp_path / "source", [executed], figures, live=False)
+    page = (tmp_path / "source/claims.md").read_text()
+    assert re.findall('section class="claim" id="(.*?)"', page) == [*claims["id"].head(3)]
 
 
 def test_on_the_site_verdicts_have_colours_and_lead_to_their_cards(tmp_path):
@@ -133,7 +164,7 @@ def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
 
 def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monkeypatch, capsys):
     """Its pictures are smaller ones, its pages have their policy, and it says what it does."""
-    old = tmp_path / "below/report"
+    old = tmp_path / "far/below/report"
     made = []
 
     class Builder:
@@ -154,7 +185,8 @@ def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monke
     for live in (False, True):
         report.build(["notebook"], figures, old, live=live)
         said = capsys.readouterr().out
-        assert f"report: {1 + live} pages, 0.0 MB, in 0 s" in said
+        (took_s,) = re.findall(rf"report: {1 + live} pages, 0.0 MB, in (\d+) s", said)
+        assert int(took_s) < 60
         assert said.count("\n") == 4 + live and ("WebAssembly" in said) == live
         files = {file.relative_to(old).as_posix() for file in old.rglob("*") if file.is_file()}
         assert files == {"one.html", "_images/one.webp"} | ({"live.html"} if live else set())
@@ -174,10 +206,62 @@ def test_the_reference_has_all_public_names():
     assert "   logs.read\n" in text and "`rhec.WORLDS`" in text
 
 
-def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsewhere(tmp_path):
-    (tmp_path / "index.md").write_text("# One\n")
-    site = tmp_path / "site"
-    Sphinx(tmp_path, ROOT / "docs", site, tmp_path / "doctrees", "html", status=None).build()
+PAGE = r"""# One
+
+$\mu$
+
+$$\kappa = 1$$
+
+| a |
+|---|
+| 1 |
+
+```{toctree}
+two
+```
+
+```{eval-rst}
+.. autoclass:: rhec.Fault
+```
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A site of a page, of which the reference is a part, and of a notebook."""
+    source = tmp_path_factory.mktemp("source")
+    (source / "index.md").write_text(PAGE)
+    streams = [("stdout", "said\n"), ("stderr", "warned\n"), ("stdout", "more\n")]
+    said = [v4.new_output("stream", name=name, text=text) for name, text in streams]
+    cells = [v4.new_markdown_cell("# Two"), v4.new_code_cell("print(1)", outputs=said)]
+    python = dict(language_info=dict(name="python", pygments_lexer="python"))
+    nbformat.write(v4.new_notebook(cells=cells, metadata=python), source / "two.ipynb")
+    site = source.parent / "site"
+    Sphinx(source, ROOT / "docs", site, source.parent / "doctrees", "html", status=None).build()
+    return site
+
+
+def test_a_page_has_formulas_types_and_outputs_that_all_can_read(site):
+    page, notebook = (
+        BeautifulSoup((site / name).read_text(), "html.parser")
+        for name in ("index.html", "two.html")
+    )
+    assert [formula["display"] for formula in page.select("math")] == ["inline", "block"]
+    signature = " ".join(page.select_one("dt.sig").get_text().split())
+    assert "start_s: float = 0.0, duration_s: float = 1" in signature  # without Annotated
+    assert len(page.select("dl[role=list] > dd[role=listitem]")) == 1 + len(
+        inspect.signature(rhec.Fault).parameters
+    )
+    scrolled = [
+        part.select("pre, .table-wrapper, .cell_output, div.math") for part in (page, notebook)
+    ]
+    assert all(part["tabindex"] == "0" for part in sum(scrolled, [])) and all(scrolled)
+    assert [part.get_text() for part in notebook.select("pre")] == ["print(1)\n", "said\nmore\n"]
+    # A page from the disk can read no other.
+    assert "SHOW_SEARCH_SUMMARY: false" in (site / "_static/documentation_options.js").read_text()
+
+
+def test_a_page_runs_the_scripts_of_its_theme_alone_and_loads_nothing_from_elsewhere(site):
     built = (site / "index.html").read_text()
     assert not list(site.glob("_sources/index*")) and not (site / "genindex.html").exists()
     assert "_sources" not in built

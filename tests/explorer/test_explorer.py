@@ -2,15 +2,10 @@
 sentence where something cannot be.
 """
 
-import json
-import os
 import re
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import ipywidgets
@@ -21,10 +16,9 @@ from bs4 import BeautifulSoup
 
 import rhec
 from notebooks.rivals import RIVALS
-from rhec import paper
-from rhec.core._casadi import compiled
+from rhec import paper, style
 from rhec.explorer import controls, explorer, field_run
-from rhec.explorer.panels import packed
+from rhec.explorer.panels import figure_of, packed
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.path import Turns
 
@@ -53,6 +47,11 @@ def drawn(made):
         name: [(mark, column(*mark["x"]), column(*mark["y"])) for mark in panel["marks"]]
         for name, panel in made.screen.picture["panels"].items()
     }
+
+
+def pictured(run, zoom="whole path"):
+    """The Picture of a run alone."""
+    return field_run.picture_of([run], (), zoom, "kappa")
 
 
 # Controls and scenarios
@@ -86,6 +85,11 @@ def test_untouched_controls_give_the_start_scenario(start):
     assert controls.scenario_of(values, start.estimator, start) == start
     is_own = start.sigma_w or start.sigma_v or start.process_noise == "soft_soil"
     assert values["process_noise"] == ("custom" if is_own else start.process_noise or "prediction")
+    # The rule that is the default, and was no other at the start, is not written.
+    usual = controls.scenario_of(values | dict(process_noise="prediction"), "rhe", start)
+    assert usual.process_noise == (
+        start.process_noise if values["process_noise"] == "prediction" else None
+    )
 
 
 # Parameters for which the explorer has other means, and those that it leaves to Python: objects;
@@ -196,6 +200,13 @@ def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it()
 # The widget
 
 
+def test_a_whole_number_stays_one_and_a_start_is_a_scenario():
+    horizon = controls.tidy(controls.CONTROLS["estimation_horizon"], 7.0, 15)
+    assert type(horizon) is int and horizon == 7
+    with pytest.raises(ValueError, match="^start was 3; it should be a rhec.Scenario$"):
+        rhec.Explorer(3)
+
+
 def test_slider_steps_include_the_start_value_and_show_all_its_digits():
     for start in STARTS:
         for key, value in controls.values_of(start).items():
@@ -245,6 +256,14 @@ def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):
     assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(controls.ESTIMATORS)
 
 
+def test_a_start_with_a_fault_of_its_own_has_it_in_the_list():
+    *_, own = STARTS
+    options = explorer._input(controls.CONTROLS["faults"], own.faults).options
+    assert options == (*controls.CONTROLS["faults"].options, ("as at the start", own.faults))
+    usual = controls.CONTROLS["faults"].options
+    assert all(explorer._input(controls.CONTROLS["faults"], of).options == usual for _, of in usual)
+
+
 def test_the_papers_weights_are_one_run(made, monkeypatch):
     drawn = []
     monkeypatch.setattr(made, "_draw", lambda: drawn.append(made.runs[0].scenario.q))
@@ -260,17 +279,16 @@ def test_wet_patches_are_added_moved_and_removed(made):
     assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]), controls.NEW_PATCH)
     made.remove_patch.click()
     assert made.runs[0].scenario.patches == ((20.0, *controls.NEW_PATCH[1:]),)
+    assert not made.remove_patch.disabled and not made.patch[4].disabled
     made.remove_patch.click()
     made.patch[0].value = 3.0  # without a patch it moves nothing
     assert made.runs[0].scenario == SHORT
-
-
-def test_a_table_says_which_run_was_pinned_where_it_is_another(made):
-    made.pin.click()
-    assert made.screen.table.count("− pinned<") == 2
-    one, other = made.runs
-    table = explorer.metrics_table([one], [other])
-    assert f"− pinned {field_run.name_of(other.scenario)}<" in table
+    assert made.remove_patch.disabled and all(slider.disabled for slider in made.patch)
+    several = tuple((x_m, 1.0, 2.0, 0.6, 0.5) for x_m in (9.0, 3.0, 5.0))
+    made = rhec.Explorer(replace(SHORT, patches=several))
+    for patch in several[::-1]:
+        assert tuple(slider.value for slider in made.patch) == patch
+        made.remove_patch.click()
 
 
 def test_the_sliders_of_a_sensor_are_there_with_the_sensor(made):
@@ -295,8 +313,8 @@ def test_the_table_has_each_metric_under_its_heading(made):
     headings = [" ".join(each.text.split()) for each in table.select("th")][1:]
     for row, run in zip(table.select("tr")[1:], made.runs, strict=True):
         name, *cells = (cell.text for cell in row.select("td"))
-        assert name.split()[-1] == field_run.name_of(run.scenario)
-        assert field_run.colour_of(run.scenario) in str(row)
+        assert name.split()[-1] == style.label_of(run.scenario.estimator)
+        assert style.colour_of(run.scenario.estimator) in str(row)
         for cell, heading, (metric, *_) in zip(cells, headings, explorer.METRICS, strict=True):
             step = 1e-4 if heading.startswith("mean") else of_unit[heading.split()[-1]]
             value = run.metrics[metric]
@@ -314,15 +332,19 @@ def test_less_is_better_and_what_is_not_known_is_neither():
 def test_pinned_runs_stay(made):
     made.pin.click()
     pinned = made.runs
-    assert "−" not in re.sub(r"− pinned", "", made.screen.table)
+    assert "−" not in re.sub(r"− pinned<", "", made.screen.table)
+    one, other = pinned
+    name = style.label_of(other.scenario.estimator)
+    assert f"− pinned {name}<" in explorer.metrics_table([one], [other])
     made.inputs["r"].value = 100.0
     assert made.pinned is pinned and made.runs is not pinned
     assert made.screen.table.count("<tr>") == 5
     for run, before in zip(made.runs, pinned):
         difference = run.metrics["mean_error_m"] - before.metrics["mean_error_m"]
         assert explorer.change(difference, 4) in made.screen.table
+    assert not made.unpin.disabled
     made.unpin.click()
-    assert made.screen.table.count("<tr>") == 3
+    assert made.screen.table.count("<tr>") == 3 and made.unpin.disabled
 
 
 def running_median(values, half=12):
@@ -351,7 +373,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     labels = {mark["label"] for mark, *_ in panels["map"]} - {"", "path, and bounds"}
     assert labels == {"RHE", "EKF", "pinned RHE", "pinned EKF"}
     # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
-    figure = field_run.field_run(made.runs, made.pinned, made.zoom.value)
+    figure = made.figure()
     saved = {axes.get_title("left"): axes for axes in figure.axes}
     for name, panel in made.screen.picture["panels"].items():
         axes = saved[panel["title"]]
@@ -384,7 +406,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
 def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_machine):
     """And shades the time spent in curves."""
     run = rhec.simulate(replace(SHORT, duration_s=120.0))
-    _, *panels = field_run.picture_of([run]).panels.items()
+    _, *panels = pictured(run).panels.items()
     areas = {}
     dashed = {}
     for name, panel in panels:
@@ -401,6 +423,17 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
     bound = paper.OMEGA_MAX_RADPS
     limit = dict(panels)["yaw_rate"].ylim[1]
     assert dashed["yaw_rate"] == [-bound, bound] and bound < limit < 1.3 * bound
+    assert all(1 < dict(panels)[name].ylim[1] < 1.1 for name in ("mu", "kappa"))
+    # Limits go in coarse steps, and cut off a hundredth below and a twentieth above.
+    for name, columns, step in (
+        ("kkt", ["kkt_rhe", "kkt_rhc"], 10),
+        ("error", ["error_true_m"], 2),
+    ):
+        values = np.concatenate([run.columns[column] for column in columns])
+        rare, usual = np.quantile(values[values > 0], [0.01, 0.95])
+        low, high = dict(panels)[name].ylim
+        assert low <= rare and high / step <= usual <= high
+        assert name == "error" or rare < step * low
     *_, tolerance = areas["error"]
     assert (tolerance.y.min(), tolerance.y.max()) == (0, paper.TOLERANCE_M)
 
@@ -408,7 +441,7 @@ def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds(virtual_mach
 def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
     kappa = np.random.default_rng(0).uniform(0.2, 1, (700, 40))
     terrain = rhec.Terrain(mu=kappa, kappa=kappa, origin_m=(-10.0, 3.0), cell_m=0.5)
-    (soil, *_) = field_run.picture_of([replace(made.runs[0], terrain=terrain)]).panels["map"].marks
+    (soil, *_) = pictured(replace(made.runs[0], terrain=terrain)).panels["map"].marks
     assert 200 < len(soil.x) <= 300
     i, j = ((at - first) / 0.5 for at, first in zip((soil.x, soil.y), terrain.origin_m))
     np.testing.assert_array_equal(soil.traction, kappa[np.ix_(i.astype(int), j.astype(int))])
@@ -417,10 +450,10 @@ def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
 def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
     run = replace(made.runs[0], path=path)
-    panel = field_run.picture_of([run], zoom="first row").panels["map"]
+    panel = pictured(run, "first row").panels["map"]
     ends = path.poses([0.0, 20.0])[0]
     for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):
-        assert low < min(at) and max(at) < high
+        assert low < min(at) and max(at) < high < max(at) + 2
     (band,) = [mark for mark in panel.marks if mark.kind == "area"]
     distance, _ = path.project(np.column_stack([band.x, band.y]))
     np.testing.assert_allclose(distance, paper.TOLERANCE_M)
@@ -455,7 +488,16 @@ def test_every_picture_is_complete(made, zoom):
             assert n == (len(x) * len(y) if mark["kind"] == "soil" else 0)
             assert mark["kind"] == "soil" or len(x) == len(y)
             assert mark["colour"] != "#000000"  # it would not be seen on a dark page
-    assert [mark["label"] for mark in picture["legend"]]
+            # Lines wider than a pixel would take a page five times as long.
+            assert mark["kind"] != "line" or mark["width"] <= 1
+            assert mark["radius"] == mark["width"] / 2
+        (ring,) = [place for mark, *place in drawn(made)["map"] if mark.get("full") is False]
+    if zoom == "worst place":
+        panel = picture["panels"]["map"]
+        for (low, high), at in zip((panel["xlim"], panel["ylim"]), ring):
+            assert low + 1 < at < high - 1 and high - low < 6
+    labels = [mark["label"] for mark in picture["legend"]]
+    assert labels and all(labels)
 
 
 # What cannot be
@@ -535,12 +577,13 @@ def test_a_lost_robot_is_drawn():
     unknown = [name for name in run.columns if name.endswith("_hat") or name.startswith("kkt")]
     columns = run.columns | dict.fromkeys(unknown, nan)
     columns |= dict.fromkeys(("error_true_m", "x_m"), 1e6 * run.columns["t_s"])
+    columns["kkt_rhc"] = np.zeros(len(nan))
     lost = replace(run, columns=columns, metrics=run.metrics | {"settling_time_s": float("nan")})
     for zoom in field_run.ZOOMS:
-        content, numbers = packed(field_run.picture_of([lost], (), zoom))
+        content, numbers = packed(pictured(lost, zoom))
         limits = [(*panel["xlim"], *panel["ylim"]) for panel in content["panels"].values()]
         assert len(numbers) and np.isfinite(limits).all()
-    field_run.field_run([lost])
+    figure_of(pictured(lost))
     assert "never" in explorer.metrics_table([lost])
 
 
@@ -549,10 +592,11 @@ def test_a_lost_robot_is_drawn():
 
 def test_runs_and_figure_are_saved(made, tmp_path):
     made.pin.click()
-    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper")
-    made.save.click()
-    assert "saved" in made.screen.status
-    stem = tmp_path / "deeper" / "wet_row-1"
+    made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper/still")
+    for _ in range(2):
+        made.save.click()
+        assert "saved" in made.screen.status
+    stem = tmp_path / "deeper/still/wet_row-1"
     files = {*stem.parent.iterdir()}
     for run, name in zip(made.runs, ("1_rhe", "2_ekf"), strict=True):
         csv, parquet = (stem.with_name(f"{stem.name}_{name}.{kind}") for kind in ("csv", "parquet"))
@@ -562,48 +606,9 @@ def test_runs_and_figure_are_saved(made, tmp_path):
     assert files == {stem.with_suffix(".pdf"), stem.with_suffix(".png")}
 
 
-# Counts what a new user waits for: loops whose C is made, calls of the compiler, modules.
-FIRST_VIEW = """
-import json, sys
-import rhec
-from rhec.core._casadi import compiled
-from rhec.core.controller import rhc
-
-made = []
-
-def counted(function):
-    def call(*arguments, **named):
-        made.append(function.__name__)
-        return function(*arguments, **named)
-    return call
-
-compiled.library_text = counted(compiled.library_text)
-rhc.build_phases = counted(rhc.build_phases)
-compiled.run_compiler = counted(compiled.run_compiler)
-explorer = rhec.Explorer(rhec.Scenario(duration_s=20.0))
-bundle = explorer._repr_mimebundle_()
-assert explorer.screen.table in bundle["text/html"]
-assert "figure()" in bundle["text/html"] and "<img" not in bundle["text/html"]
-assert set(explorer.screen.picture["panels"]) == {"map", "error", "mu", "kappa", "yaw_rate", "kkt"}
-print(json.dumps(dict(made=sorted(made), drawn="matplotlib" in sys.modules)))
-"""
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_the_first_view_makes_two_loops_with_one_controller_and_the_next_none(tmp_path):
-    """Nor does either import Matplotlib."""
-    environment = {**os.environ, "RHEC_CACHE": str(tmp_path)}
-    environment.pop("RHEC_UNATTENDED", None)
-    command = [sys.executable, "-c", FIRST_VIEW]
-    root = Path(rhec.__file__).parents[1]
-    first, second = (
-        json.loads(subprocess.check_output(command, env=environment, cwd=root)) for _ in range(2)
-    )
-    loops = ["library_text", "library_text", "run_compiler", "run_compiler"]
-    assert first == dict(made=["build_phases", *loops], drawn=False)
-    assert second == dict(made=[], drawn=False)
-    assert len([*tmp_path.glob("*/library.so")]) == 2
+def test_a_page_without_widgets_has_the_table_and_says_how_to_draw(made):
+    html = made._repr_mimebundle_()["text/html"]
+    assert made.screen.table in html and "figure()" in html and "<img" not in html
 
 
 @pytest.mark.parametrize("name, entries", [("sigma_w", 6), ("sigma_v", 4)])
@@ -623,6 +628,10 @@ def test_sliders_of_noise_show_the_noise_in_use(made, name, entries):
     assert getattr(made.runs[0].scenario, name)[-1] == 0.1
     made.process_noise.value = "prediction"
     assert made.runs[0].scenario.sigma_v is made.runs[0].scenario.sigma_w is None
+    own = rhec.Explorer(replace(SHORT, **{name: shown}), against=None)
+    assert not own.inputs[name, 0].disabled
+    own.inputs["r"].value = 20.0
+    assert own.runs[0].scenario.r == 20.0 and getattr(own.runs[0].scenario, name) == shown
 
 
 def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
@@ -659,12 +668,17 @@ def test_every_widget_is_on_the_screen(made):
 
 
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
-    optimised = []
+    optimised, begun = [], []
     monkeypatch.setattr(
         explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
     )
+    with monkeypatch.context() as patch:  # the first loops compile while the widgets are made
+        patch.setattr(explorer.early, "begin", lambda build, of: begun.append(len(of)))
+        patch.setattr(rhec.Explorer, "_make_inputs", lambda *given: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            rhec.Explorer(SHORT)
     rhec.Explorer(SHORT)
-    assert optimised == []
+    assert optimised == [] and begun == [2]
     said = []
     monkeypatch.setattr(made, "_show_status", lambda text, *kind: said.append(text))
     made.inputs["r"].value = 20.0

@@ -4,7 +4,11 @@ it is judged on is what the log shows.
 
 import collections
 import dataclasses
+import functools
 import re
+import time
+from operator import ge, le
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -29,6 +33,7 @@ from notebooks.studies.statistics import (
     UNTESTABLE,
     Finding,
 )
+from notebooks.studies.tables import with_minus
 from rhec import paper
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import tuning
@@ -40,6 +45,7 @@ ONES = np.ones(200)
 SHARES = np.arange(200)
 SHORT = dict(estimation_horizon=3, prediction_horizon=3, duration_s=12.0)
 WEIGHTS = (1, 1, 0), (1, 1, 5)
+PUBLISHED = pd.read_csv(RESULTS / "claims.csv").set_index("id")
 
 
 # Rules
@@ -162,15 +168,10 @@ def test_the_intervals_cover_the_truth_as_often_as_they_say(statistic):
     """Of skewed numbers, as errors and violations are, at the ledger's n."""
     rng = np.random.default_rng(1)
     samples = rng.lognormal(size=(1 if statistic is np.mean else 2, 1000))
-    assert 0.94 <= statistics.coverage(statistic, *samples, trials=2000) <= 0.96
+    assert 0.94 <= statistics.coverage(statistic, *samples) <= 0.96
 
 
-def test_the_root_of_a_mean_of_squares_is_their_rms():
-    found = statistics.over_seeds(statistics.root_of_mean, SHARES**2.0)
-    assert found.mean == pytest.approx(np.linalg.norm(SHARES) / np.sqrt(200))
-
-
-def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
+def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses(monkeypatch):
     """Of skewed numbers in all runs it is nearly what the intervals say.
 
     Tables that some looks have left shorter are compared where both have rows.
@@ -178,7 +179,8 @@ def test_the_coverage_is_shown_of_each_statistic_that_the_ledger_uses():
     metrics = ["mean_error_m", "mean_error_true_m", "violations", "rms_kappa"]
     samples = np.random.default_rng(0).lognormal(size=(99, 200, 4))
     drawn = (pd.DataFrame(of[: 200 - n % 2], columns=metrics) for n, of in enumerate(samples))
-    shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)), trials=200)
+    monkeypatch.setattr(ledger, "coverage", functools.partial(statistics.coverage, trials=200))
+    shown = ledger.coverages(collections.defaultdict(lambda: next(drawn)))
     assert {*shown["statistic"]} == {"mean", "difference_of_means", "ratio_of_means"}
     assert shown["coverage"].between(0.9, 0.99).all()
 
@@ -371,15 +373,6 @@ def test_the_ledger_has_the_largest_p_of_what_is_decided(orders):
     assert (row.verdict, row.p) == (UNDECIDED, open_)
 
 
-def test_the_order_turns_with_the_numbers(orders):
-    """RHE and EKF exchanged: what held does not hold, and the other way round."""
-    names = dict(rhe="ekf", ekf="rhe", rhe_smoothed="ekf", rhe_left="ekf_left", ekf_left="rhe_left")
-    other = {(noise, kind, id_): orders[noise, kind, names[id_]] for noise, kind, id_ in orders}
-    found = {name: judge(other).verdict for name, judge in B5["B5"].rule.by_condition.items()}
-    assert found[statistics.PREDICTION] == HOLDS and found["W consistent"] == FAILS
-    assert found["as printed"] == FAILS
-
-
 def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
     conditions = [*B5["B5"].rule.by_condition]
     for last, other in ((FAILS, conditions[-1]), (HOLDS, conditions[1])):
@@ -388,12 +381,6 @@ def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_ne
         looks = dict.fromkeys(conditions, 0.95)
         (row,) = ledger.ledger(dict(B5=found), dict(B5=looks), dict(B5={}), {}, B5).itertuples()
         assert (row.condition, row.other_condition) == (conditions[0], other)
-
-
-def test_what_the_paper_compares_is_judged_by_every_rule_for_w():
-    for id_ in "B3 B4 B5 B6 B7 B9 B10 B16 S4".split():
-        conditions = list(ledger.CLAIMS[id_].rule.by_condition)
-        assert conditions[:4] == [*statistics.CONDITIONS.values()], id_
 
 
 def test_a_rival_has_the_rhes_w_where_none_was_tuned_for_it():
@@ -459,12 +446,33 @@ def test_no_claim_is_judged_on_the_calibrations_seeds():
         ("T3", 0.3523 + 0.1309 + 0.3751 + 0.0215, HOLDS),
         ("T8", 0.0, FAILS),  # minimum of the RHE: 0.2921 + 0.0766 = 0.3687
         ("T10", 3, FAILS),  # eq. (6) has ν, μ and κ; the paper counts two
+        ("B21", 0.2, UNTESTABLE),
     ],
 )
 def test_what_follows_from_the_papers_own_numbers_is_as_by_hand(id_, number, verdict):
     first, *_ = ledger.CLAIMS[id_].rule.by_condition.values()
-    found = first({})  # no evidence is needed
+    errors = pd.DataFrame(dict(rms_yaw_rate_radps=[0.1, 0.2, 0.3]))
+    found = first({("printed", "logs", "rhe"): errors})  # of B21; the others need no evidence
     assert found.value == pytest.approx(number, abs=1e-12) and found.verdict == verdict
+
+
+def test_the_published_ledger_has_the_words_and_conditions_of_the_claims():
+    """All that no evidence changes; `make studies` writes it anew."""
+    published = pd.read_csv(RESULTS / "claims.csv", dtype=str, keep_default_na=False)
+    assert [*published["id"]] == [*ledger.CLAIMS]
+    for row in published.to_dict("records"):
+        claim = ledger.CLAIMS[row["id"]]
+        ours = claim._asdict() | claim.rule._asdict()
+        words = {name: str(of) for name, of in ours.items() if name in row and name != "beside"}
+        assert {name: row[name] for name in words} == words
+        said = [part.rpartition(": ")[0] for part in row["conditions"].split("; ")]
+        assert [name.strip(":") for name in said] == [*claim.rule.by_condition]
+        beside = [part.rpartition(": ")[0] for part in row["beside"].split("; ") if part]
+        assert beside == [*claim.beside]
+        if not evidence.tables_of(claim.rule.by_condition.values()):
+            found = claim.rule.by_condition[row["condition"]]({})
+            bounds = [float(row[name] or "nan") for name in ("above", "below", "value")]
+            np.testing.assert_array_equal([found.above, found.below, found.value], bounds)
 
 
 def test_the_paper_s_values_are_those_of_the_package():
@@ -520,6 +528,9 @@ def test_only_what_a_look_leaves_undecided_is_looked_at_again(drawn, advantage, 
     _, findings, _, looks = evidence.collect(B6, [20, 200, 900])
     found, look = findings["B6"]["as printed"], looks["B6"]["as printed"]
     assert (found.n, found.verdict, look) == (n, HOLDS, confidence)
+    # Each look before has spent two thousandths.
+    spent = 0.002 * [20, 200, 900].index(n)
+    assert spent <= found.p < spent + 1 - confidence
     # No field is driven at two looks.
     driven = [
         seeds for noise, _, id_, seeds in drawn["asked"] if (noise, id_) == ("printed", "rhe")
@@ -536,6 +547,7 @@ def test_the_last_look_is_for_claims_that_nothing_decides_before(drawn, helped, 
     found = findings["B6"]["as printed"]
     assert (found.verdict, found.n) == (UNDECIDED, n)
     assert findings["B6"][statistics.PREDICTION].verdict == (HOLDS if helped else UNDECIDED)
+    assert 0.002 * 2 < found.p <= 1
 
 
 def test_an_experiment_has_one_look(drawn):
@@ -648,6 +660,7 @@ def test_verdicts_are_counted_by_class():
     table = pd.read_csv(RESULTS / "claims.csv")
     ids = [*table.loc[table["verdict"] == FAILS, "id"]]
     assert [*summary.failing(table).index] == ids and ids
+    assert [*summary.lost(table).index] == summary.survivors(table)[1]
 
 
 def test_a_weak_verdict_does_not_survive_among_many():
@@ -711,7 +724,8 @@ def test_a_claim_in_worlds_follows_the_runs(monkeypatch):
     def measure(scenarios, folder=None):
         def errors(part):
             rival = np.array([each.estimator == RIVALS["rhe_no_slip"] for each in part])
-            return 1 + chosen["advantage"] * rival
+            is_slow = np.array([each.speed_mps == 0.4 for each in part])
+            return 1 + chosen["advantage"] * rival * np.where(is_slow, 1, -1)
 
         return {
             name: pd.DataFrame(dict(mean_error_true_m=errors(part), mean_error_m=chosen["raw_m"]))
@@ -719,13 +733,13 @@ def test_a_claim_in_worlds_follows_the_runs(monkeypatch):
         }
 
     monkeypatch.setattr(run_sets, "measure", measure)
-    drawn = [dict(speed_mps=0.4), dict(kappa_mean=0.9)]
-    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [HOLDS] * 2
-    assert worlds.shares(B6, drawn, 4)["B6"][:4] == (1.0, pytest.approx(0.025**0.5), 1.0, 2)
+    drawn = [dict(speed_mps=0.4), dict(kappa_mean=0.9), dict(speed_mps=0.4)]
+    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [HOLDS, FAILS, HOLDS]
+    assert worlds.shares(B6, drawn[::2], 4)["B6"][:4] == (1.0, pytest.approx(0.025**0.5), 1.0, 2)
     chosen["advantage"] = -0.5
-    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [FAILS] * 2
+    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [FAILS, HOLDS, FAILS]
     chosen.update(advantage=0.5, raw_m=0.2)
-    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [LOST] * 2
+    assert worlds.judge(B6, drawn, 4)["B6"].tolist() == [LOST] * 3
 
 
 def test_every_claim_about_driving_is_judged_in_a_world(run, monkeypatch):
@@ -738,10 +752,18 @@ def test_every_claim_about_driving_is_judged_in_a_world(run, monkeypatch):
         return {name: pd.DataFrame([shown] * len(part)) for name, part in asked.items()}
 
     monkeypatch.setattr(run_sets, "measure", measure)
-    verdicts = worlds.judge(ledger.CLAIMS, [dict(speed_mps=0.4)], 2)
-    published = pd.read_csv(RESULTS / "claims.csv").set_index("id")["posterior"]
-    assert {*verdicts} == {*published.dropna().index}
-    for (kind, id_, _), (one, other) in asked.items():
+    world = dict(speed_mps=0.4, duration_s=50.0, process_noise="printed", q=(9.0, 9.0, 9.0))
+    verdicts = worlds.judge(ledger.CLAIMS, [world], 2)
+    assert {*verdicts} == {*PUBLISHED["posterior"].dropna().index}
+    for (kind, id_, whole), (one, other) in asked.items():
+        # Its own length is that of claims on the paper's two estimators alone.
+        rows = one.mu_mean * one.speed_mps * one.duration_s / one.row_length_m
+        is_on_row = id_ in ("oracle_row", "q1", "q2", "q3") or id_.startswith(("q2_", "q3_"))
+        is_on_row &= "speed_mps" not in fields_of(kind, id_)
+        assert (
+            one.duration_s == 50 if whole else rows == pytest.approx(1) if is_on_row else rows > 2
+        )
+        assert whole <= (kind == "runs" and id_ in ("rhe", "ekf", "oracle"))
         (usual,) = run_sets.scenarios(fields_of(kind, id_), "prediction", [0])
         for name in ("estimator", "q", "r", "qn_factor", "look_ahead_m", "guess_yaw_rad"):
             assert getattr(one, name) == getattr(usual, name)
@@ -789,10 +811,34 @@ def test_one_claim_is_told_with_its_words_and_numbers(drawn, capsys):
     claim = ledger.CLAIMS["B6"]
     assert claim.quote in text and claim.section in text and "verdict: holds" in text
     assert ledger.CLAIMS["I1"].quote in text
-    assert "n = 12: holds" in text and "seeds 0 to 11" in text
-    value, low, high = re.search(r"as printed: (\S+) \[(\S+), (\S+)\]", text).groups()
+    assert "seeds 0 to 11" in text and text.count("has more fields, and other worlds") == 1
+    value, low, high = re.search(
+        r"as printed: (\S+) \[(\S+), (\S+)\] m, n = 12: holds\n", text
+    ).groups()
     low_m, value_m, high_m = (float(each.replace("−", "-")) for each in (low, value, high))
     assert low_m < value_m < high_m < 0
+    said = re.findall(r"beside it: (.*): \S+ \[\S+ \S+\], n = 12$", text, re.MULTILINE)
+    assert said == [*claim.beside]
+    command.main(["B6"])
+    assert f"seeds 0 to {LOOKS[0] - 1};" in capsys.readouterr().out
+
+
+def test_what_needs_no_drive_is_told_as_it_is_published(capsys):
+    published = PUBLISHED[~PUBLISHED["n"].gt(1) & PUBLISHED["beside"].isna()].fillna({"why": ""})
+    command.main([*published.index, "--fields", "2"])
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    for id_, row in published.iterrows():
+        verdict = f"verdict: {row['verdict']}{', by derivation' if row['derived'] else ''}"
+        expected = [f"{row['section']}: “{row['quote']}”", f"test: {with_minus(row['test'])}"]
+        expected += [verdict, *row["conditions"].split("; ")]
+        expected += [f"why: {row['why']}"] if row["why"] else []
+        begin = lines.index(f"{id_}: {row['claim']}") + 1
+        for line, wanted in zip(lines[begin:], expected):
+            # The number of a condition stands before its verdict.
+            condition, _, word = wanted.rpartition(": ")
+            name = re.escape(condition.strip(":") or "in all cases")
+            assert line == wanted or re.fullmatch(rf"{name}: (\S+( \S+)?, n = 1: )?{word}", line)
+    assert len(published) > 10 and not [line for line in lines if "seeds 0 to" in line]
 
 
 def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeypatch):
@@ -800,10 +846,11 @@ def test_without_an_id_all_claims_are_listed_with_their_verdicts(capsys, monkeyp
     monkeypatch.setattr(command, "CLAIMS", ledger.CLAIMS | {"Z1": new})
     command.main([])
     lines = capsys.readouterr().out.splitlines()
-    verdicts = pd.read_csv(RESULTS / "claims.csv").set_index("id")["verdict"]
     for line, (id_, claim) in zip(lines, command.CLAIMS.items(), strict=True):
         assert line.split()[0] == id_ and claim.claim in line
-        assert line.endswith(f"  {verdicts.get(id_, 'not judged yet')}")
+        verdict = PUBLISHED["verdict"].get(id_, "not judged yet")
+        assert line.endswith(f"  {verdict}")
+        assert len(line) - len(verdict) == len(lines[0]) - len(PUBLISHED["verdict"].iloc[0])
 
 
 # Refusals
@@ -835,8 +882,6 @@ def test_a_claim_is_read_as_it_is_written_and_a_malformed_one_is_refused(tmp_pat
         ('"mean"', '"median"', "median"),
         ("below = 1", "under = 1", "under"),
         ("of =", 'departures = ["late"]\nof =', "late"),
-        ('["mean_error_m"]', '["mean_error_m", "violations"]', "mean takes 1 sample"),
-        ('"mean", below = 1', '"ratio", below = 1', "ratio takes 2 sample"),
     ]:
         file.write_text(GOOD.replace(written, instead), encoding="utf-8")
         with pytest.raises(ValueError, match=f"^claim X1 could not be read: .*{named}"):
@@ -906,13 +951,42 @@ def test_measured_agrees_with_the_log(run):
     )
     assert shown["settling_time_s"] == run.metrics["settling_time_s"] and shown["arrived"]
     late = log[log["t_s"] >= 30]
-    assert shown["kkt_rhe_late"] == pytest.approx(late["kkt_rhe"].median())
-    assert shown["deviation_kappa_late"] == pytest.approx(late["kappa_hat"].std(ddof=0))
-    speed = log["nu_mps"][log["t_s"] >= 5].abs()
-    assert shown["speed_variation"] == pytest.approx(speed.std(ddof=0) / speed.mean())
+    moving = log[log["t_s"] >= 5]
+    before, after = (log[op(log["t_s"], shown["settling_time_s"])] for op in (le, ge))
+    speed = moving["nu_mps"].abs()
+    expected = dict(
+        near_bound=(log[["mu_hat", "kappa_hat"]].min(axis=1) >= 0.9).mean(),
+        deviation_kappa_late=late["kappa_hat"].std(ddof=0),
+        step_kappa=root_mean_square(log["kappa_hat"].diff()),
+        speed_variation=speed.std(ddof=0) / speed.mean(),
+        rms_nu_hat_mps=root_mean_square(moving["nu_hat_mps"] - moving["nu_mps"]),
+        rms_nu_meas_mps=root_mean_square(moving["nu_meas_mps"] - moving["nu_mps"]),
+        rms_yaw_rate_radps=root_mean_square(log["omega_radps"] - log["omega_cmd_radps"].shift()),
+        kkt_rhc_largest_first=log["kkt_rhc"].idxmax() in before.index,
+        kkt_rhc_before=before["kkt_rhc"].median(),
+        kkt_rhc_after=after["kkt_rhc"].median(),
+        kkt_rhc_late=late["kkt_rhc"].median(),
+        kkt_rhe_first=log.loc[log["t_s"].between(0.1, 3.1), "kkt_rhe"].median(),
+        kkt_rhe_late=late["kkt_rhe"].median(),
+    )
+    assert {name: shown[name] for name in expected} == pytest.approx(expected)
     far = log["y_m"][log["y_m"].abs() > 0.05]  # the first row runs along x
     assert shown["swings"] == (np.sign(far).diff().dropna() != 0).sum()
     assert 0 < shown["late_s"] == pytest.approx(59.8 - log["s_m"].iloc[-1] / 0.5)
+
+
+def root_mean_square(values):
+    return np.sqrt(values.pow(2).mean())
+
+
+def test_a_robot_that_never_arrives_has_used_up_its_time(run):
+    """All of its drive is before the arrival, and no curve counts."""
+    metrics = run.metrics | dict(settling_time_s=np.nan)
+    shown = run_sets.measured(dataclasses.replace(run, metrics=metrics))
+    assert shown["settling_time_s"] == 60.0 and not shown["arrived"]
+    assert shown["kkt_rhc_largest_first"]
+    assert shown["kkt_rhc_before"] == shown["kkt_rhc_after"] == run.log["kkt_rhc"].median()
+    assert shown["yaw_bias_rad"] == shown["offset_curves_m"] == shown["row_m"] == 0.0
 
 
 @pytest.mark.parametrize("turns", ["left", "right", "alternate"])
@@ -974,14 +1048,18 @@ def test_a_drive_in_a_world_turns_to_both_sides():
         _, s_m = run.path.project(run.log[["x_m", "y_m"]].to_numpy())
         curvature = run.path.poses(s_m)[1]
         assert (curvature > 0).any() and (curvature < 0).any()
+        # It ends on the third row, on which the soil's mean would be driven for a quarter of it.
+        third_m = s_m[-1] - 2 * (run.scenario.row_length_m + np.pi * run.scenario.headland_radius_m)
+        assert 0.1 < third_m / run.scenario.row_length_m < 0.4
 
 
-@pytest.mark.parametrize("lag", [0.0, 1.4, 5.0])
-def test_a_lag_is_found(lag):
+@pytest.mark.parametrize("lag", [0.0, 1.4, 5.0, 12.0])
+def test_a_lag_of_up_to_ten_seconds_is_found(lag):
     truth = np.convolve(np.random.default_rng(0).normal(size=600), np.ones(25) / 25, "same")
     shift = round(lag / 0.2)
     late = np.concatenate([np.zeros(shift), truth[: 600 - shift]])
-    assert run_sets.lag_s(late, truth) == pytest.approx(lag, abs=0.2)
+    found = run_sets.lag_s(late, truth)
+    assert found == pytest.approx(lag, abs=0.2) if lag < 10 else found <= 10
 
 
 # Experiments
@@ -996,12 +1074,14 @@ def test_the_time_from_which_an_error_stays_small():
         assert experiments.reached_s(error) == pytest.approx(2.4)
 
 
-def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all():
-    noises = ("printed", "prediction")
-    made = experiments.make([(noise, "models") for noise in noises], 2)
-    one, other = (made[noise, "models"] for noise in noises)
-    pd.testing.assert_frame_equal(one, other)
-    assert len(one) == 100
+def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all(monkeypatch):
+    monkeypatch.setattr(experiments, "_tasks", lambda *asked: [functools.partial(dict, of=asked)])
+    monkeypatch.setattr(experiments, "parallel_map", lambda call, tasks: [task() for task in tasks])
+    tables = [(noise, name) for noise in ("printed", "tracking") for name in ("models", "search")]
+    made = experiments.make(tables, 9)
+    for noise, name in tables:
+        expected = (None if name == "models" else noise, name, 9)
+        assert made[noise, name].to_dict("list") == dict(of=[expected])
 
 
 def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine, monkeypatch):
@@ -1011,13 +1091,18 @@ def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine
     _, findings, beside, looks = evidence.collect(claims, [1000])
     columns = ["value", "low", "high", "n", "verdict", "confidence", "beside"]
     found = ledger.ledger(findings, looks, beside, {}, claims).set_index("id")[columns]
-    published = pd.read_csv(RESULTS / "claims.csv").set_index("id").loc[[*claims], columns]
+    published = PUBLISHED.loc[[*claims], columns]
     pd.testing.assert_frame_equal(found.replace("", np.nan), published, rtol=1e-6, atol=1e-9)
 
 
 def test_each_field_of_the_arrival_costs_is_driven_once():
     tasks = experiments._tasks("prediction", "arrival_cost", 300)
     assert [seed for task in tasks for seed in task.args[-1]] == [*range(300 * 64 // 1000)]
+    for name, fewest in (("arrival_cost", [0, 1]), ("iterations", [0, 1])):
+        tasks = experiments._tasks("printed", name, 10)
+        seeds = np.ravel([task.args[-1] for task in tasks])
+        assert [*seeds] == fewest and all(task.args[0] == "printed" for task in tasks)
+    assert len(experiments._tasks("printed", "iterations", 100)) == 4
 
 
 def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch):
@@ -1025,6 +1110,9 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     is_late = paper.DT_S * np.arange(800) >= experiments.SETTLED_S
 
     def live(scenario, iterations):
+        # Long enough for two rows and two turns, of which the second is to the other side.
+        way_m = 2 * (scenario.row_length_m + np.pi * scenario.headland_radius_m)
+        assert way_m < scenario.mu_mean * scenario.speed_mps * scenario.duration_s < 1.2 * way_m
         return np.where(is_late, 0.01 * iterations, 9.0), np.full(800, 1e-6 * iterations)
 
     apart = np.where(is_late, 3e-4, 9.0), np.where(is_late, -5e-4, 9.0)
@@ -1034,6 +1122,18 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     expected = dict(error_one_m=0.01, error_many_m=0.1, one_us=1.0, many_us=10.0)
     expected |= dict(rms_warm=3e-4, rms_cold=5e-4, max_warm=3e-4)
     assert found == pytest.approx(expected)
+
+
+def test_one_iteration_a_sample_is_the_run_that_is_simulated(virtual_machine):
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
+    begin = time.perf_counter()
+    distance_m, taken_s, problems, commands = experiments.live(scenario, 1)
+    took_s = time.perf_counter() - begin
+    columns = rhec.simulate(scenario).columns
+    np.testing.assert_allclose(commands, columns["omega_cmd_radps"], atol=1e-9)
+    np.testing.assert_allclose(distance_m, columns["error_true_m"], atol=1e-9)
+    assert len(problems) == len(taken_s) == 40
+    assert (taken_s > 0).all() and taken_s.sum() < took_s
 
 
 def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
@@ -1051,10 +1151,24 @@ def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
     assert cold[0] == pytest.approx(cold[1], abs=1e-12) and np.abs(cold).max() > 1e-3
 
 
+def test_a_step_is_in_time_if_all_of_it_fits_between_two_samples(monkeypatch):
+    phases_us = np.array([[1.0, 2.0, 3.0, 4.0], [1e5, 2e4, 7e4, 1e4], [1e5, 2e4, 7e4, 9e3]])
+    driven = []
+    monkeypatch.setattr(
+        experiments.timing, "phases", lambda scenario: driven.append(scenario) or phases_us
+    )
+    found = experiments.steps_in_time()
+    # The first sample is not counted.
+    assert driven[0].duration_s == pytest.approx(paper.DT_S * (1 + PUBLISHED.loc["T7", "n"]))
+    assert [*found["in_time"]] == [True, False, True]
+    assert [*found["whole_us"]] == [10, 2e5, 1.99e5]
+    assert [*found["feedback_us"]] == [6, 3e4, 2.9e4]
+
+
 def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
     """The last one, driven again."""
-    table = experiments.lowest_traction("prediction", most=0)
-    assert len(table) >= 18
+    table = experiments.lowest_traction("prediction", most=18)
+    assert len(table) == 18
     *fields, lowest = table.columns
     row = table.iloc[-1]
     own = {name: row[name] for name in fields} | dict(seed=int(row["seed"]))
@@ -1063,9 +1177,31 @@ def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
     assert lowest == "lowest" and row[lowest] == log[["mu_hat", "kappa_hat"]].min(axis=None)
 
 
-def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side():
-    """At the origin, straight ahead, it drives by μν."""
+@pytest.mark.parametrize("lowest", [0.1, -0.1])
+def test_a_search_ends_with_what_it_looks_for_or_after_as_many_runs_as_is_said(lowest, monkeypatch):
+    columns = dict(mu_hat=np.array([0.5]), kappa_hat=np.array([0.7, lowest, 0.6]))
+    run = SimpleNamespace(columns=columns)
+    monkeypatch.setattr(experiments, "simulate", lambda scenario: run)
+    table = experiments.lowest_traction("printed")
+    said = int(re.search(r"in (\d+) runs", ledger.CLAIMS["M7"].test)[1])
+    assert len(table) == (said if lowest > 0 else 36)  # the first generation and one more
+    assert (table["lowest"] == lowest).all()
+    for name in ("guess_yaw_rad", "start_offset_m"):  # to both sides
+        assert table[name].min() < -2 and table[name].max() > 2
+
+
+def test_the_model_is_a_unicycle_without_slip_and_has_none_to_the_side(monkeypatch):
+    """At the origin, straight ahead, it drives by μν. Its yaw rates are to both sides."""
+    turned = []
+    drive = experiments.rk4
+
+    def noted(f, pose, omega, *given):
+        turned.append(omega)
+        return drive(f, pose, omega, *given)
+
+    monkeypatch.setattr(experiments, "rk4", noted)
     found = experiments.models(3)
+    assert min(turned) < 0 < max(turned) and np.abs(turned).max() <= paper.OMEGA_MAX_RADPS
     ahead = [mu * speed for speed, mu, *_ in experiments._draw_states(3)]
     np.testing.assert_allclose(found["at_rest_mps"], ahead)
     np.testing.assert_allclose(found[["off_unicycle_m", "sideways_mps"]], 0, atol=1e-9)
@@ -1084,6 +1220,33 @@ def test_the_cost_of_a_straight_drive_beside_the_path_is_that_of_its_offset():
     assert cost == pytest.approx(weight * offset_m**2 * (n - 1 + paper.QN_FACTOR) / 2)
 
 
+def test_the_bending_of_a_cost_is_its_second_derivative_along_a_constant_yaw_rate(monkeypatch):
+    """A trajectory that is no linear function of the inputs is off the mean of two."""
+
+    def quadratic(state, parameters, inputs):
+        return inputs**2, 3.5 * inputs.sum() ** 2
+
+    monkeypatch.setattr(experiments, "_drive_and_cost", quadratic)
+    found = experiments.convexity(20)
+    np.testing.assert_allclose(found["bending"], 2 * 3.5 * paper.HORIZON**2, rtol=1e-6)
+    # ((u - v) / 2)² of inputs within their bounds
+    assert found["off_mean_m"].between(0.002, paper.OMEGA_MAX_RADPS**2).all()
+
+
+def test_the_cost_of_a_curve_has_its_inputs_and_turns_by_what_the_soil_lets_through():
+    speed, mu, kappa, _ = next(experiments._draw_states(1))
+    omega = 0.05 * np.ones(paper.HORIZON)
+    straight = np.array(experiments._straight_ahead(speed, mu)[0]).T[1:]
+    poses, cost = experiments._drive_and_cost((0.0, 0.0, 0.0), (speed, mu, kappa), omega)
+    turned = kappa * 0.05 * paper.DT_S * np.arange(1, paper.HORIZON + 1)
+    np.testing.assert_allclose(poses[:, 2], turned)
+    np.testing.assert_allclose(np.hypot(*poses[0, :2]), mu * speed * paper.DT_S, rtol=1e-3)
+    weights = np.repeat([paper.Q3], paper.HORIZON, axis=0)
+    weights[-1] = paper.QN_FACTOR * np.array(paper.Q3)
+    squares = (weights * (poses - straight) ** 2).sum() + paper.R * (omega**2).sum()
+    assert cost == pytest.approx(squares / 2)
+
+
 def test_the_share_of_sigma_that_is_left_is_of_the_second_half():
     P = np.zeros((10, 6, 6))
     P[:, 4, 4] = np.square([2.0, *[9.0] * 4, *[1.0] * 5])
@@ -1099,19 +1262,17 @@ def test_the_growth_of_a_weight_has_no_unit():
     P = roots @ roots.swapaxes(1, 2)
     units = np.diag([1.0, 1e3, 0.1, 5.0, 1e-3, 20.0])
     assert experiments._growth(units @ P @ units) == pytest.approx(experiments._growth(P))
-    halves = np.repeat([np.eye(6), np.eye(6), np.eye(6) / 3], [1, 6, 3], axis=0)
+    # The first covariance is the unit, whatever comes then.
+    first, last = np.eye(6), np.diag([1 / 3, 1, 1, 1, 1, 1])
+    halves = np.repeat([first, np.diag([1, 99, 1, 1, 1, 1]), first, last], [1, 1, 5, 3], axis=0)
     assert experiments._growth(halves) == pytest.approx(3)
 
 
 def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
     off = experiments.certainty_equivalence(4.0)["off_radps"]
     assert len(off) == 20 and off.max() < 1e-9
-
-
-def test_a_linear_problem_is_solved_by_one_iteration_and_the_paper_s_is_not(virtual_machine):
-    kkt = experiments.kkt_tolerances(5)
-    assert (kkt["linear_after_step"] < 1e-9).all()
-    assert (kkt["nonlinear_after_step"] > 1e-9).any() and (kkt["linear_reported"] > 1e-9).any()
+    (usual_s,) = experiments.certainty_equivalence.__defaults__
+    assert usual_s == pytest.approx(paper.DT_S * PUBLISHED.loc["N1", "n"])
 
 
 def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
@@ -1122,8 +1283,51 @@ def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
     np.testing.assert_allclose(estimates, log[names], atol=1e-8)
     W = np.diag(np.square(tuning.NOISES["rhe"]["prediction"].sigma_w))
     assert np.linalg.eigvalsh(P - W).min() >= -1e-12
-    _, constant = experiments.run_with_given_arrival(steps, log, run.scenario, P_given=np.eye(6))
-    np.testing.assert_allclose(constant, np.broadcast_to(np.eye(6), constant.shape), atol=1e-12)
+    given = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    _, constant = experiments.run_with_given_arrival(steps, log, run.scenario, P_given=given)
+    np.testing.assert_allclose(constant, np.broadcast_to(given, constant.shape), atol=1e-12)
+
+
+def test_constant_arrival_costs_are_around_the_mean_of_the_adaptive_one(monkeypatch):
+    """A hundredth of it, a hundred times as much, and one that is as good as none."""
+    log = rhec.simulate(rhec.Scenario(estimator="oracle", duration_s=8.0)).log
+    W = np.diag(np.square(tuning.NOISES["rhe"]["prediction"].sigma_w))
+    P = W * np.arange(2.0, 42.0)[:, None, None]
+    log["theta_rad"] = 0.0
+    estimates = np.arange(40.0)[:, None] * np.eye(6)[5] + 0.6 * np.eye(6)[2]
+    given = []
+    scenarios = []
+
+    def recorded(steps, log, scenario, P_given=None):
+        scenarios.append(scenario)
+        given.append(P_given)
+        return estimates, P
+
+    monkeypatch.setattr(experiments.compiled, "load", lambda build: None)
+    monkeypatch.setattr(experiments, "run_with_given_arrival", recorded)
+    row = experiments._arrival_cost("prediction", log)
+    assert given[:2] == [None, None]  # with W and without
+    assert scenarios[0].sigma_w is None and scenarios[1].sigma_w == (0.0,) * 6
+    assert row["least"] == pytest.approx(1)
+    heavy, light, none = given[2:]
+    mean = P[paper.HORIZON + 1 :].mean(axis=0)  # of full windows
+    np.testing.assert_allclose(100 * heavy, mean)
+    np.testing.assert_allclose(light, 100 * mean)
+    assert np.trace(none) > 1e5 * np.trace(light)
+    for name in ("adaptive", "heavy", "light", "none"):
+        # Their yaw is 0.6 rad off, and κ changes by one at each sample.
+        assert row[f"step_{name}"] == 1 and row[f"lost_{name}"] and row[f"reached_s_{name}"] == 8
+
+
+def test_arrival_costs_are_those_of_each_field_with_its_own_covariance(monkeypatch):
+    runs = [SimpleNamespace(log=f"log {seed}") for seed in (4, 7)]
+    P = [dict(covariance=share * np.ones((2, 6, 6)) + np.eye(6)) for share in (0.0, 1.0)]
+    monkeypatch.setattr(experiments, "simulate", lambda scenarios: runs)
+    monkeypatch.setattr(experiments, "run_estimator_on_all", lambda scenario, runs, of: P)
+    monkeypatch.setattr(experiments, "_arrival_cost", lambda noise, log: dict(of=f"{noise}, {log}"))
+    found = experiments._arrival_costs("tracking", [4, 7])
+    assert [*found["of"]] == ["tracking, log 4", "tracking, log 7"]
+    assert [*found["sigma_mu_left"]] == [1, 1]
 
 
 def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes(virtual_machine):

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmark import acados_peer, first, floor, instructions, lines, peers, problems, step, tables
+from benchmark import acados_peer, floor, instructions, lines, peers, problems, step, tables
 
 nightly = pytest.mark.nightly
 
@@ -122,12 +122,6 @@ def test_the_step_is_measured(loop):
     assert {*whole.index} == wanted
     assert (table[["lower_quartile_us", "median_us", "upper_quartile_us"]] > 0).all(axis=None)
     assert whole.loc[step.FROM_PYTHON, "ratio"] == 1
-
-
-@nightly
-def test_the_first_result_of_a_cold_cache_takes_longer():
-    times = first.measure(rounds=1).set_index(["contestant", "cache"])["cpu_s"]
-    assert times[first.RHEC, "cold"] > times[first.RHEC, "warm"] > 0
 
 
 # What needs no measurement

@@ -21,7 +21,6 @@ from rhec.cli import main
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SHORT = ["--duration-s", "8"]
-COMMANDS = ("lab", "log", "simulate", "campaign", "export")
 
 
 @pytest.fixture(scope="module")
@@ -212,32 +211,19 @@ def test_help_needs_no_utf_8_and_no_reader_that_reads_it_all(tmp_path):
     assert not ended.stderr and b"Usage: rhec simulate" in ended.stdout
 
 
-def test_help_has_an_example_of_each_command_and_every_field_that_it_takes(capsys, monkeypatch):
+def test_help_has_every_field_that_a_command_takes(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     text = {}
-    for name in ("", *COMMANDS):
+    for name in ("", "simulate", "export"):
         assert main([*filter(None, [name]), "--help"]) == 0
         text[name] = capsys.readouterr().out
-    assert re.findall("^│ ([a-z]+) ", text[""], re.MULTILINE) == [*COMMANDS]  # in the order of use
-    for name in COMMANDS:
-        assert f"Usage: rhec {name}" in text[name]
-        assert name == "lab" or f"For example: rhec {name} " in text[name]
+    by_use = ["lab", "log", "simulate", "campaign", "export"]
+    assert re.findall("^│ ([a-z]+) ", text[""], re.MULTILINE) == by_use
     for field in dataclasses.fields(rhec.Scenario):
         is_object = field.name in ("terrain", "path", "faults", "controller")
         assert (f" --{field.name.replace('_', '-')} " in text["simulate"]) != is_object
-    assert "Set speed [m/s], 0 to 1.4. [default: 0.5]" in text["simulate"]
     # Of an export, what changes its code alone.
     for option in ("estimator", "q", "turns", "sensors"):
         assert f" --{option} " in text["export"]
     for option in ("mu-mean", "gnss-sigma-m", "seed"):
         assert f" --{option} " not in text["export"]
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_every_option_and_choice(capsys, tmp_path, monkeypatch, shell):
-    monkeypatch.setenv("HOME", str(tmp_path))
-    script = tmp_path / "script"
-    assert main(["--install-completion", "--shell", shell, "--output", str(script)]) == 0
-    words = "kappa-mean track-width-m process-noise soft_soil bounded_ekf prepared_anew".split()
-    assert all(word in script.read_text() for word in words)
-    assert re.search("wet.* patches", script.read_text())

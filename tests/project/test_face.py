@@ -185,6 +185,11 @@ def test_a_first_mistake_is_told_what_to_write_instead():
             r"\(2, 16\); it should have \(2, 6\).*horizon is 5.*Pa",
         ),
         (
+            lambda: rhc.feedback((0.0, []), x_ref=rows.T),
+            ValueError,
+            r"was \(0.0, \[\]\); it should be made of numbers$",
+        ),
+        (
             lambda: rhc.feedback((0.0, 0.0), x_ref=rows),
             ValueError,
             r"had shape \(6, 2\).*x_ref.T has that",
@@ -303,6 +308,9 @@ def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_the
 
 @pytest.mark.nightly
 def test_a_run_needs_neither_tables_nor_pictures_nor_campaigns():
-    loaded = modules_after("rhec.simulate(rhec.Scenario(estimator='oracle', duration_s=1.0))")
+    scenario = "rhec.Scenario(estimator='oracle', duration_s=1.0)"
+    loaded = modules_after(f"rhec.simulate({scenario})")
     assert loaded.isdisjoint({"pandas", "matplotlib", "loky", "IPython", "notebooks"})
     assert not [name for name in loaded if "campaigns" in name or "lanes" in name]
+    # The browser draws the explorer.
+    assert "matplotlib" not in modules_after(f"rhec.Explorer({scenario}, against=None)")

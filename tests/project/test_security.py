@@ -1,6 +1,5 @@
 """The promises of docs/threat_model.md and SECURITY.md that no other test covers."""
 
-import importlib.util
 import re
 from pathlib import Path
 
@@ -17,14 +16,6 @@ ROOT = Path(__file__).parents[2]
 def test_files_of_an_export_name_their_licence():
     for file in (ROOT / "rhec/embedded/c").iterdir():
         assert re.search("SPDX-License-Identifier: MIT", file.read_text()), file.name
-
-
-def test_the_threat_model_names_tests_that_exist():
-    text = (ROOT / "docs/threat_model.md").read_text()
-    named = re.findall(r"`(tests/\S+)`", text)
-    assert named
-    for path in named:
-        assert (ROOT / path).exists(), path
 
 
 def test_helpers_of_casadi_in_an_export_are_under_the_licence_that_is_named(tmp_path):
@@ -56,18 +47,6 @@ def test_a_release_is_of_what_passed_and_was_installed_and_run():
     assert places == sorted(places)
     assert jobs["publish"]["needs"] == "wheel"
     assert "pip" not in "".join(str(step) for step in jobs["publish"]["steps"][:-1])
-
-
-def test_what_the_settings_of_other_tools_name_exists():
-    """Goals of make for dependabot, programs of .venv for pre-commit, the digest of a base."""
-    makefile = (ROOT / "Makefile").read_text()
-    goals = re.findall(r"`make ([\w-]+)", (ROOT / ".github/dependabot.yml").read_text())
-    assert goals and all(f"\n{goal}:" in makefile for goal in goals)
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
-    for hook in hooks:
-        module = hook["entry"].split("-m ")[1].split()[0]
-        assert importlib.util.find_spec(module), module
-    assert re.search(r"^FROM \S+@sha256:[0-9a-f]{64}$", (ROOT / "Containerfile").read_text(), re.M)
 
 
 @pytest.mark.parametrize("name", ["check", "nightly", "release"])

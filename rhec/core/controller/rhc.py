@@ -336,7 +336,10 @@ class RHC(RealTimeLoop):
 
     def _has_other_horizon(self, name, value):
         """Whether a reference has a row for each quantity, but another number of columns."""
-        rows, *columns = np.shape(value) or (0,)
+        try:
+            rows, *columns = np.shape(value) or (0,)
+        except ValueError:  # rows of unequal lengths
+            return False
         wanted = self._inputs[name].shape
         return len(wanted) == 2 and rows == wanted[0] and columns not in ([], [wanted[1]])
 
