@@ -19,7 +19,7 @@ from PIL.PngImagePlugin import PngInfo
 import rhec
 from docs.site.check_figures import difference
 from notebooks.further import faults, recorded_logs, traction_worth_plots
-from notebooks.plots import interpretations, robot_drawings, scenarios, which_worlds
+from notebooks.plots import robot_drawings, scenarios, which_worlds
 from notebooks.studies import order_in_worlds, scenario_tables
 from notebooks.studies import which_worlds as worlds
 from rhec import style
@@ -81,9 +81,6 @@ PICTURES = {
     "fig08_errors": lambda: scenarios.errors(pairs()),
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
-    "audit_interpretations": lambda: interpretations.forest(
-        table("audit_interpretations"), "prediction"
-    ),
     "inverse_order": lambda: which_worlds.order(table("inverse_rules")),
     "inverse_predictions": lambda: which_worlds.predictions(*inverse()[2]),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
