@@ -122,6 +122,12 @@ def test_shares_of_worlds_are_counted_by_their_means():
     assert row["RHE better, neither lost"] == pytest.approx(2 / 3, abs=1e-5)
     assert row["EKF / RHE"] == 2.0
     assert row["low"] < 0.75 < row["high"]
+    share = f"0.750 [{row['low']:.3g}, {row['high']:.3g}]"
+    ratios = np.quantile([2.0, 2.0, 2 / 3, 200.0], [0.05, 0.95])
+    ratio = f"2.00 [{ratios[0]:.3g}, {ratios[1]:.0f}]"
+    shown = order_in_worlds.readable_rules(table)
+    assert shown.loc["tracking", "left"] == f"{share}; {ratio}"
+    assert [*shown.index] == [*order_in_worlds.RULES]
 
 
 def test_every_interpretation_is_a_scenario_and_another_one_than_the_default():

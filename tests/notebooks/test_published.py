@@ -81,7 +81,6 @@ PICTURES = {
     "fig08_errors": lambda: scenarios.errors(pairs()),
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
-    "inverse_order": lambda: which_worlds.order(table("inverse_rules")),
     "inverse_predictions": lambda: which_worlds.predictions(*inverse()[2]),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))

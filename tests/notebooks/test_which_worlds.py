@@ -58,8 +58,22 @@ def test_ranks_are_uniform_for_right_posteriors_and_not_for_narrow_ones(toy):
     found = abc_regression.posterior(narrow, np.array([OBSERVED]), 1000)
     wrong = np.sum(found.unit[:99, 0] < toy.unit[rows, 0, None], axis=1)
     assert stats.kstest((wrong + 0.5) / 100, "uniform").pvalue < 1e-6
-    shares = abc_regression.coverage(right, 99, (0.5, 0.9))[:, 0]
-    assert np.abs(shares - [0.5, 0.9]).max() < 0.1
+    table = abc_regression.calibration(np.column_stack([right[:, 0], wrong]), 99, ["one", "two"])
+    shares = table.loc["one", ["middle 50%", "middle 90%"]]
+    assert [*shares] == pytest.approx([0.5, 0.9], abs=0.1)
+    assert table.loc["two", "p"] < 1e-5 and 0.05 < table.loc["one", "p"] <= 1
+
+
+def test_of_uniform_ranks_one_unknown_in_twenty_is_called_wrong():
+    """Whichever of three it is, p is below 0.05 in that share of all checks, or less often."""
+    rng = np.random.default_rng(3)
+    tables = [
+        abc_regression.calibration(rng.integers(0, 100, (50, 3)), 99, [*"abc"]) for _ in range(300)
+    ]
+    called = [(table["p"] < 0.05).any() for table in tables]
+    assert 0.02 < np.mean(called) < 0.08
+    shares = np.mean([table.iloc[:, :2] for table in tables], axis=(0, 1))
+    assert shares == pytest.approx([0.5, 0.9], abs=0.01)
 
 
 def test_a_simulation_counts_as_much_as_its_prior_says(toy):
