@@ -85,7 +85,6 @@ PICTURES = {
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))
     ),
-    "unknowns": lambda: traction_worth_plots.unknowns_by_difference(table("table_unknowns")),
 }
 
 
