@@ -49,13 +49,6 @@ def frequencies(axes, values, limits, colour, bins=50, relative=False):
     axes.set_xlim(left=0, auto=True)
 
 
-def rows_axis(axes, labels, quantity):
-    """Label rows from the top down, over a quantity that is at least 0."""
-    axes.set_yticks(range(len(labels)), labels)
-    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, None), xlabel=quantity)
-    axes.grid(axis="y", visible=False)
-
-
 def note(axes, text, xy, offset=(0, 0), **look):
     """Write small text at an offset [points] from a point."""
     look = dict(textcoords="offset points", fontsize=SMALL_PT, va="center") | look
@@ -98,9 +91,9 @@ def ticks_at_the_ends(axes, ticks):
         label.set_horizontalalignment(side)
 
 
-def log_axis(axis, labelled=(1, 2, 5)):
-    """Make an axis logarithmic, with labels at these multiples of the powers of ten."""
+def log_axis(axis):
+    """Make an axis logarithmic, with labels at 1, 2 and 5 times the powers of ten."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(subs=labelled))
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()

@@ -11,7 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.plots import parts
 from notebooks.studies import names
-from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
+from notebooks.studies.scenario_tables import REPORTED, over_fields
 from notebooks.studies.tables import interval_text, with_minus
 from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
@@ -341,39 +341,6 @@ def _difference(axes, runs):
     axes.set_ylim(-_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
 
 
-@styled
-def errors_of_many(drives, table):
-    """Draw Figure 8 for many fields: Euclidean errors by raw GNSS.
-
-    Above are median and 95th percentile of all drives, below the share of samples above 0.12 m.
-
-    Args:
-        drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
-        table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
-    """
-    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1))
-    figure, rows = plt.subplots(2, len(drives), figsize=(DOUBLE_IN, 3.8), **grid)
-    for panels, (noise, by_name) in zip(rows.T, drives.items()):
-        many, share = panels
-        for name in ("EKF", "RHE"):
-            _many_errors(many, share, name, by_name[name])
-        many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        many.set_title(f"{names.noise_text(noise)}:\n{_means(table, by_name['RHE'][0])}")
-        _time_axis(panels, by_name["RHE"][0].log)
-        share.set_xlabel("time [s]  (shaded: curves)")
-    rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.01, 10))
-    rows[0, 0].minorticks_off()
-    ticks = [0.01, 0.03, 0.1, 0.3, 1, 3, 10]
-    rows[0, 0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    rows[1, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
-    first = next(iter(drives.values()))["RHE"]
-    n = table.loc[table["turns"] == first[0].scenario.turns, "n"].max()
-    words = f"{_where(first[0])}: curves of {_fields(first)}, in the titles means over {n} fields"
-    figure.suptitle(f"{words[0].upper()}{words[1:]}", fontsize=8)
-    parts.legend_outside(figure, rows[0, 0], "lower center", 5)
-    return figure
-
-
 def _one_error(axes, name, run):
     """Draw the error of one drive over time; the paper's mean stands in the legend."""
     label = f"{name} (the paper's mean: {REPORTED[name, 'mean_error_m']} m)"
@@ -394,26 +361,6 @@ def _beyond(axes, runs):
             look |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
             parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, place), **look)
             place -= 0.17
-
-
-def _many_errors(axes, share, name, drives):
-    """Draw median and 95th percentile of the drives' errors, and the share above 0.12 m."""
-    look = dict(color=colour_of(drives[0].scenario.estimator))
-    log = drives[0].log
-    t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
-    _, median, p95 = over_fields(drives, "error_m", _POOLED)
-    axes.plot(t_s, median, linewidth=1.2, label=f"{name}, median", **look)
-    axes.plot(t_s, p95, linewidth=0.5, label=f"{name}, 95th percentile", **look)
-    beyond = share_of_fields(drives, "error_m", paper.TOLERANCE_M, _POOLED)
-    share.plot(t_s, 100 * beyond, **look)
-
-
-def _means(table, run):
-    """The mean errors of RHE and EKF by raw GNSS with the turns and W of a run, for a title."""
-    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
-    means = means[means["turns"] == run.scenario.turns]
-    means = means.set_index(["process_noise", "estimator"]).loc[run.scenario.process_noise]
-    return "\n".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
 
 
 @styled
@@ -448,8 +395,9 @@ def violations(table, turns="alternate", world="default"):
         parts.note(axes, text, (1, place), (8, 0), **place_of)
     labels = [f"{names.noise_text(noise)}: {name}" for noise, name in shares.index]
     words = f"drives without a violation [%]: share of {shares['n'].max()} fields, 95 % interval"
-    parts.rows_axis(axes, labels, words)
-    axes.set_xlim(0, 100)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, 100), xlabel=words)
+    axes.grid(axis="y", visible=False)
     where = f"{world} world, {names.turns_text(turns)}"
     axes.set_title(f"{where[0].upper()}{where[1:]}; at the right violations in a drive, mean")
     handles, labels = axes.get_legend_handles_labels()

@@ -19,12 +19,7 @@ from notebooks.plots import scenarios
 from notebooks.plots.scenarios import stated
 from notebooks.plots.timing import phases
 from notebooks.studies import timing
-from notebooks.studies.scenario_tables import (
-    over_fields,
-    scenario_a_table,
-    scenario_b_table,
-    share_of_fields,
-)
+from notebooks.studies.scenario_tables import over_fields, scenario_a_table, scenario_b_table
 from rhec import paper, style
 
 SEEDS = range(2)
@@ -98,13 +93,10 @@ def sweep_b(virtual_machine):
 
 @pytest.fixture(scope="module")
 def drives(runs):
-    """{process noise: {"RHE": [Run, …], "EKF": [Run, …]}}, two fields each"""
+    """{process noise: [Run, Run]} of the RHE on two fields"""
     return {
-        noise: {
-            name: [run, rhec.simulate(dataclasses.replace(run.scenario, seed=1))]
-            for name, run in by_name.items()
-        }
-        for noise, by_name in runs.items()
+        noise: [pair["RHE"], rhec.simulate(dataclasses.replace(pair["RHE"].scenario, seed=1))]
+        for noise, pair in runs.items()
     }
 
 
@@ -123,7 +115,6 @@ class Drawn(dict):
 def drawn(runs, drives, by_weight, sweep_a, sweep_b):
     pair, table = runs["prediction"], scenario_b_table(sweep_b)
     first = {weight: of_seeds[0] for weight, of_seeds in by_weight.items()}
-    by_noise = {noise: drives[noise]["RHE"] for noise in ("printed", "prediction")}
     soft = scenario(**rhec.WORLDS["soft"])
     return Drawn(
         {
@@ -133,14 +124,11 @@ def drawn(runs, drives, by_weight, sweep_a, sweep_b):
             ),
             "trajectories": lambda: scenarios.trajectories(runs),
             "errors": lambda: scenarios.errors(runs),
-            "errors_of_many": lambda: scenarios.errors_of_many(drives, table),
             "violations": lambda: scenarios.violations(table),
-            "estimates": lambda: scenarios.estimates(
-                by_noise | {"soft soil": [rhec.simulate(soft)]}
-            ),
-            "speed": lambda: scenarios.speed(drives["prediction"]["RHE"]),
+            "estimates": lambda: scenarios.estimates(drives | {"soft soil": [rhec.simulate(soft)]}),
+            "speed": lambda: scenarios.speed(drives["prediction"]),
             "yaw_rate": lambda: scenarios.yaw_rate(pair["RHE"]),
-            "kkt": lambda: scenarios.kkt(drives["prediction"]["RHE"]),
+            "kkt": lambda: scenarios.kkt(drives["prediction"]),
             "phases": lambda: phases(TIMES, "a test"),
         }
     )
@@ -167,17 +155,14 @@ def test_axes_have_units_and_no_text_is_cut_off_or_over_another(drawn):
             assert axes.get_ylabel() or not has_numbers, (name, axes.get_xlabel())
 
 
-def test_the_papers_numbers_stand_beside_ours(drawn, runs, sweep_b):
+def test_the_papers_numbers_stand_beside_ours(drawn, runs):
     errors = words(drawn["errors"])
     assert (
         "RHE (the paper's mean: 0.0423 m)" in errors and "EKF (the paper's mean: 0.0514" in errors
     )
-    many = words(drawn["errors_of_many"])
-    for (noise, estimator), of_one in sweep_b.groupby(["process_noise", "estimator"]):
-        mean_m = runs[noise][estimator.upper()].metrics["mean_error_m"]
-        assert f"{estimator.upper()} {mean_m:.4f} m" in errors
-        assert f"{estimator.upper()} {of_one['mean_error_m'].mean():.4f} m" in many
-    assert f"means over {len(SEEDS)}" in many
+    for pair in runs.values():
+        for name, run in pair.items():
+            assert f"{name} {run.metrics['mean_error_m']:.4f} m" in errors
     diamonds = [line for line in drawn["violations"].axes[0].lines if line.get_marker() == "D"]
     # All drives of the paper's RHE are without a violation, and the one of its EKF is not.
     assert sorted(line.get_xdata()[0] for line in diamonds) == [0, 0, 100, 100]
@@ -231,10 +216,10 @@ def largest_after_settling(run):
 
 
 def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
-    run, *others = drives["prediction"]["RHE"]
+    run, *others = drives["prediction"]
     error = drawn["errors"].axes[1]  # of the second W
     assert any(np.array_equal(line.get_ydata(), run.log["error_m"]) for line in error.lines)
-    of_rhe = scenarios.estimates(dict(prediction=drives["prediction"]["RHE"]))
+    of_rhe = scenarios.estimates(dict(prediction=drives["prediction"]))
     yaw, _, kappa = of_rhe.axes[::2]
     error_rad = run.log["theta_hat_rad"] - run.log["theta_rad"]
     assert any(np.allclose(line.get_ydata(), error_rad, atol=1e-9) for line in yaw.lines)
@@ -246,30 +231,8 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     assert len(beside.patches) == 3
 
 
-def test_curves_of_many_drives_are_their_quantiles_and_shares(drawn, drives):
-    """A second at a time, in curves that are shaded."""
-    for many, share, by_name in zip(
-        *np.reshape(drawn["errors_of_many"].axes, (2, 2)), drives.values()
-    ):
-        *curves, tolerance = many.lines
-        assert [*tolerance.get_ydata()] == [paper.TOLERANCE_M] * 2
-        for line in (*curves, *share.lines):
-            np.testing.assert_allclose(
-                line.get_xdata(), np.arange(len(line.get_xdata())), atol=1e-9
-            )
-        for k, name in enumerate(("EKF", "RHE")):
-            _, median, p95 = over_fields(by_name[name], "error_m", 5)
-            beyond = share_of_fields(by_name[name], "error_m", paper.TOLERANCE_M, 5)
-            for line, expected in zip(
-                (*curves[2 * k :][:2], share.lines[k]), (median, p95, 100 * beyond)
-            ):
-                np.testing.assert_array_equal(line.get_ydata(), expected)
-                assert line.get_color() == style.COLOURS[name]
-        assert len(many.collections) == len(share.collections) == 1 and many.get_yscale() == "log"
-
-
 def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(drives):
-    runs = drives["prediction"]["RHE"]
+    runs = drives["prediction"]
     log = runs[0].log
     rows = np.reshape(scenarios.estimates({"a title": runs}).axes, (3, 2))
     curve_s = log["t_s"][~log["on_straight"]]
@@ -304,7 +267,7 @@ def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(d
 
 
 def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
-    runs = drives["prediction"]["RHE"]
+    runs = drives["prediction"]
     for axes, name in zip(drawn["kkt"].axes, ("RHE", "RHC")):
         low, middle, high = over_fields(runs, f"kkt_{name.lower()}")
         (line,) = axes.lines
@@ -376,18 +339,12 @@ def ends_of(band):
 
 
 def test_bands_hold_the_middle_of_the_drives(drives):
-    of_rhe = drives["prediction"]["RHE"]
+    of_rhe = drives["prediction"]
     errors = np.array([run.columns["error_m"] for run in of_rhe])
     low, middle, high = over_fields(of_rhe, "error_m")
     one, other = np.sort(errors, axis=0)
     np.testing.assert_allclose(middle, (one + other) / 2)
     np.testing.assert_allclose([low - one, other - high], 0.05 * np.array([other - one] * 2))
-    pooled = over_fields(of_rhe, "error_m", 7)
-    assert pooled.shape == (3, errors.shape[1] // 7)
-    np.testing.assert_allclose(pooled[1, 0], np.median(errors[:, :7]))
-    np.testing.assert_allclose(
-        share_of_fields(of_rhe, "error_m", 0.03, 7)[0], (errors[:, :7] > 0.03).mean()
-    )
 
 
 @pytest.mark.parametrize("process_noise", ["printed", "prediction"])
