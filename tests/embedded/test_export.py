@@ -356,7 +356,7 @@ def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path)
         sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
         command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
         subprocess.run([*command, "-o", tmp_path / "fuzz"], cwd=tmp_path, check=True)
-        return toolchain.nonsense(machine, tmp_path / "fuzz", 1500).iloc[0]
+        return toolchain.nonsense(machine, tmp_path / "fuzz", 1500, 0).iloc[0]
 
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
         fuzzed(commanded, "*omega = 1.001 * r->omega[0];")
