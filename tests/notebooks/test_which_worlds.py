@@ -301,6 +301,24 @@ def test_files_hold_what_the_code_drives(world):
     assert now["error"].to_numpy() == pytest.approx(then["error"].to_numpy(), rel=1e-3)
 
 
+def test_the_posterior_and_the_two_middle_worlds_were_driven_as_they_are_now():
+    """One world of each, on its own fields, which no world of either round has."""
+    drives = which_worlds.posterior_drives()
+    first = dict(posterior=0, default=which_worlds.DRAWS)
+    first["centre"] = first["default"] + which_worlds.COPIES
+    worlds = which_worlds.middle_worlds() | dict(posterior=which_worlds.posterior_worlds()[2])
+    variants = {name: which_worlds.VARIANTS[name] for name in ("rhe_free", "ekf_free")}
+    for name, world in worlds.items():
+        assert len(drives[name]) % which_worlds.FIELDS == 0
+        place = first[name] + 2
+        seed = which_worlds.UNUSED_SEED + which_worlds.FIELDS * place
+        now = which_worlds.drive([world], seed, variants)
+        then = drives[name].loc[place]
+        for variant in variants:
+            error_m = then[variant]["error"].to_numpy()
+            assert now[variant]["error"].to_numpy() == pytest.approx(error_m, rel=1e-3)
+
+
 def test_shares_count_drives():
     """Two worlds; in the first, one of two drives is the paper's, in the second none."""
     statistics = np.tile(which_worlds.observed() + 1.0, (4, 1))
