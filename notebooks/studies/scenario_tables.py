@@ -196,7 +196,7 @@ def scenario_a_table(sweep):
     Returns:
         DataFrame with columns weight, quantity, mean, low, high, n, p5, p95, claim, verdict.
     """
-    runs = dict(list(sweep.groupby("weight", sort=False)))
+    runs = dict(list(sweep.groupby("weight")))
     rows = [
         dict(weight=weight, quantity=quantity) | _mean_and_range(of_weight[column])
         for column, quantity in _QUANTITIES_A.items()

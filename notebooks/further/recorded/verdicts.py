@@ -216,7 +216,7 @@ def _tried(drive):
 def rates(rows):
     """False trust and false alarms by loop, a DataFrame with Clopper and Pearson's intervals."""
     table = []
-    for loop, of_loop in rows.groupby("loop", sort=False):
+    for loop, of_loop in rows.groupby("loop"):
         wrong, trusted = (of_loop[name].astype(bool) for name in ("is_wrong", "is_trusted"))
         untold = of_loop["verdict"].str.startswith("Cannot tell")
         for rate, cases, counts in (
