@@ -105,6 +105,19 @@ def test_the_file_of_noises_holds_what_is_fitted(monkeypatch):
     assert found == (numbered[0], "ekf", *stored.loc[(numbered[0], "ekf")])
 
 
+def test_the_file_of_drives_holds_what_is_driven_by_each_rule():
+    """In the first of the worlds, on its own path and on all others.
+
+    Where a sample is just accepted or just not, another compiler's rounding decides.
+    """
+    noises = pd.read_csv(order_in_worlds.NOISES).query("world == 0")
+    worlds = order_in_worlds.with_noises(which_worlds.posterior_worlds()[:1], noises)
+    now = order_in_worlds.drive_by_rule(worlds).astype(float)
+    then = order_in_worlds.order_drives().loc[[0]]
+    assert list(now.columns) == list(then.columns)
+    np.testing.assert_allclose(now, then, rtol=0.02)
+
+
 def test_a_pattern_changes_the_path_alone(worlds):
     other = order_in_worlds.on_pattern(worlds[0], "right")
     changed = {name for name in other if other[name] != worlds[0].get(name)}
