@@ -69,17 +69,6 @@ def test_deviances_are_those_of_each_run_by_itself():
             assert value == pytest.approx(alone, rel=1e-9)
 
 
-def test_a_world_has_the_noise_that_was_fitted_in_it(worlds):
-    noises = pd.DataFrame(
-        [(1, "rhe", "1 1 2 3 4 5", "6 6 7 8"), (1, "ekf", "1 1 2 3", "6 6 7 8")],
-        columns=["world", "estimator", "sigma_w", "sigma_v"],
-    )
-    _, world = order_in_worlds.with_noises(worlds, noises)
-    scenario = which_worlds.scenario(world, order_in_worlds.VARIANTS["ekf_prediction"], 3)
-    assert scenario.sigma_w == (1, 1, 2, 3) and scenario.sigma_v == (6, 6, 7, 8)
-    assert "fitted_ekf" not in worlds[1]
-
-
 def test_each_world_is_fitted_on_drives_of_its_own(worlds, monkeypatch):
     driven = []
     monkeypatch.setattr(order_in_worlds, "simulate", driven.append)
@@ -116,13 +105,6 @@ def test_the_file_of_drives_holds_what_is_driven_by_each_rule():
     then = order_in_worlds.order_drives().loc[[0]]
     assert list(now.columns) == list(then.columns)
     np.testing.assert_allclose(now, then, rtol=0.02)
-
-
-def test_a_pattern_changes_the_path_alone(worlds):
-    other = order_in_worlds.on_pattern(worlds[0], "right")
-    changed = {name for name in other if other[name] != worlds[0].get(name)}
-    assert changed <= {"turns", "duration_s"} and other["turns"] == "right"
-    assert order_in_worlds.on_pattern(worlds[0], order_in_worlds.OWN) == worlds[0]
 
 
 def test_shares_of_worlds_are_counted_by_their_means():

@@ -75,6 +75,7 @@ def test_the_tables_of_skewed_drives_have_their_means_and_ranges():
                 half = 2.447 * gain.std() / np.sqrt(n)
                 wanted = (gain.mean(), gain.mean() - half, gain.mean() + half)
                 assert (row["mean"], row["low"], row["high"]) == pytest.approx(wanted, rel=1e-3)
+                assert row["paper"] == dict(mean_error_m=-0.0091, violations=-17)[column]
                 row = table.loc[(turns, rule, "P(RHE < EKF)", quantity)]
                 assert row["mean"] == pytest.approx((gain < 0).mean())
     assert len(table) == 4 * (8 * 2 + 2 * 2)
@@ -88,6 +89,15 @@ def test_the_tables_of_skewed_drives_have_their_means_and_ranges():
             row = shown.loc[(weight, quantity)]
             assert row["mean"] == pytest.approx(of[column].mean())
             assert row["p95"] == pytest.approx(np.percentile(of[column], 95))
+    ratio = shown.loc[("Q1 / Q3", "settling time, ratio")]
+    slow, fast = (shown.loc[(q, "settling time [s]"), "mean"] for q in ("Q1", "Q3"))
+    assert ratio["mean"] == pytest.approx(slow / fast) and ratio["claim"] == "at least 2"
+    about_1 = 1 + 0.1 * rng.random(len(of_a))
+    for factor, verdict in ((2.5, "holds"), (1.5, "does not hold")):
+        slow, swinging = (np.where(of_a["weight"] == q, factor, 1) * about_1 for q in ("Q1", "Q2"))
+        made = of_a.assign(settling_time_s=slow, overshoot_m=swinging)
+        judged = scenario_tables.scenario_a_table(made).set_index("weight")["verdict"]
+        assert judged["Q1 / Q3"] == judged["Q2 / Q3"] == verdict
 
 
 def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():

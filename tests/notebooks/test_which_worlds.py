@@ -129,31 +129,6 @@ def test_the_papers_own_numbers_meet_all_statements():
     assert not which_worlds.meets(worse).any()
 
 
-def test_worlds_of_the_prior_fill_their_ranges():
-    worlds = which_worlds.worlds_at(which_worlds.first_round(256).unit)
-    for name, prior in which_worlds.PRIORS.items():
-        assert worlds[name].between(prior.least, prior.most).all()
-        middle = np.sqrt(prior.least * prior.most) if prior.logarithmic else None
-        middle = (prior.least + prior.most) / 2 if middle is None else middle
-        assert np.mean(worlds[name] < middle) == pytest.approx(0.5, abs=0.02)
-    # That of the slip difference has no hand.
-    of_difference = which_worlds.PRIORS["slip_difference"]
-    assert of_difference.least == -of_difference.most
-    for name, choice in which_worlds.CHOICES_OF.items():
-        shares = worlds[name].value_counts(normalize=True)
-        assert set(shares.index) == set(choice.values)
-        assert shares.to_numpy() == pytest.approx(1 / len(choice.values), abs=0.02)
-
-
-@pytest.mark.parametrize("turns", which_worlds.CHOICES_OF["turns"].values)
-def test_a_drive_ends_where_its_rows_do(turns):
-    """Oracle: the path itself, on the first two rows and the headland between them."""
-    fields = dict(row_length_m=20.0, headland_radius_m=5.0, turns=turns)
-    path = rhec.Path.rows(20.0, 5.0, turns)
-    duration_s = which_worlds.duration_s(1.5, fields | dict(mu_mean=1.0, speed_mps=1.0))
-    assert path.segments[2, 0] + 10.0 == pytest.approx(duration_s, abs=0.06)
-
-
 def test_bumps_let_the_yaw_walk_as_far_as_the_prior_says():
     """Oracle: a Gauss-Markov yaw rate along the way, summed up, over 40 m on 4000 ways."""
     world = which_worlds.worlds_at(which_worlds.first_round(4).unit).iloc[1]
@@ -191,22 +166,6 @@ def world():
     """The fields of a world of the prior."""
     unit = which_worlds.first_round(8).unit
     return which_worlds.fields_of(which_worlds.worlds_at(unit).iloc[3])
-
-
-def test_the_two_drives_are_on_one_soil_at_different_times_with_the_worlds_own_w(world):
-    rhe, ekf = (
-        rhec.simulate(
-            which_worlds.scenario(world | dict(duration_s=4.0), which_worlds.VARIANTS[name], 7)
-        )
-        for name in ("rhe_free", "ekf_free")
-    )
-    assert np.array_equal(rhe.terrain.kappa, ekf.terrain.kappa)
-    assert not np.array_equal(rhe.columns["x_meas_m"], ekf.columns["x_meas_m"])
-    sigma_m, traction = world["sigma_ekf_m"], world["sigma_rhe_traction"]
-    assert ekf.scenario.sigma_w == (sigma_m, sigma_m, world["sigma_ekf_rad"], 0.001)
-    sigma_m = world["sigma_rhe_m"]
-    w = (sigma_m, sigma_m, world["sigma_rhe_rad"], 0.001, traction, traction)
-    assert rhe.scenario.sigma_w == w and rhe.scenario.sigma_v == paper.SIGMA_V
 
 
 def test_excursions_are_counted(world):
