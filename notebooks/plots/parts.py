@@ -2,7 +2,6 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import LogLocator
 
 import rhec
 from notebooks.studies.tables import with_minus
@@ -89,11 +88,3 @@ def ticks_at_the_ends(axes, ticks):
     axes.set_xticks(ticks, [with_minus(text) for text in texts])
     for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
         label.set_horizontalalignment(side)
-
-
-def log_axis(axis):
-    """Make an axis logarithmic, with labels at 1, 2 and 5 times the powers of ten."""
-    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter("{x:g}")
-    axis.axes.minorticks_off()

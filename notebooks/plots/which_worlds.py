@@ -3,10 +3,9 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from notebooks.plots.parts import log_axis, ticks_at_the_ends
+from notebooks.plots.parts import ticks_at_the_ends
 from notebooks.studies import which_worlds
-from rhec import paper
-from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SMALL_PT, VERMILLION, styled
+from rhec.style import BLACK, BLUE, DOUBLE_IN, GREY, ORANGE, SMALL_PT, styled
 
 _COLUMNS = 4
 _BINS = 12
@@ -49,41 +48,4 @@ def posterior(worlds, table):
     for axes in panels.flat[len(table) :]:
         axes.set_visible(False)
     figure.supylabel(f"posterior / prior, {len(worlds)} draws", fontsize=8)
-    return figure
-
-
-@styled
-def predictions(prior, posterior):
-    """Draw errors and violations of single drives, and the paper's.
-
-    Args:
-        prior: (n, k) statistics of drives of the prior.
-        posterior: (m, k) those of the posterior.
-
-    Returns:
-        A Figure.
-    """
-    figure, panels = plt.subplots(1, 2, figsize=(DOUBLE_IN, 2.6))
-    errors, counts = panels
-    names = list(which_worlds.STATEMENTS)
-    for statistics, colour, name in [(prior, GREY, "prior"), (posterior, BLUE, "posterior")]:
-        of = dict(zip(names, statistics.T))
-        look = dict(s=2, color=colour, linewidth=0, alpha=0.5, label=name, rasterized=True)
-        errors.scatter(np.exp(of["error_rhe"]), np.exp(of["error_ekf"]), **look)
-        # Counts are whole: spread within a unit, they do not hide each other.
-        spread = np.random.default_rng(0).uniform(-0.4, 0.4, (2, len(statistics)))
-        counts.scatter(
-            of["violations_rhe"] ** 2 + spread[0], of["violations_ekf"] ** 2 + spread[1], **look
-        )
-    paper_look = dict(marker="*", color=VERMILLION, s=60, zorder=5, label="the paper")
-    errors.scatter(paper.MEAN_ERROR_RHE_M, paper.MEAN_ERROR_EKF_M, **paper_look)
-    counts.scatter(paper.VIOLATIONS_RHE, paper.VIOLATIONS_EKF, **paper_look)
-    errors.set(xlim=(0.01, 0.5), ylim=(0.01, 0.5))
-    log_axis(errors.xaxis)
-    log_axis(errors.yaxis)
-    errors.set(xlabel="mean error with the RHE [m]", ylabel="mean error with the EKF [m]")
-    counts.set(xlim=(-1, 60), ylim=(-1, 120))
-    counts.set(xlabel="violations with the RHE", ylabel="violations with the EKF")
-    errors.set_title(f"{len(prior)} drives of the prior, {len(posterior)} of the posterior")
-    errors.legend(loc="lower right", markerscale=1.5)
     return figure

@@ -40,7 +40,7 @@ def pairs():
 
 @functools.cache
 def inverse():
-    """What notebook 07 shows: the posterior's worlds, its tables, and drives before and after."""
+    """What notebook 07 shows: the posterior's worlds, and its tables."""
     drives = worlds.prior_drives()
     table = worlds.simulations(drives, worlds.both_rounds(drives))
     drawn, *_ = worlds.posterior_draws(table, 2000, 0)
@@ -59,8 +59,7 @@ def inverse():
         inverse_default=worlds.beside_the_default().reset_index(),
         inverse_rules=order_in_worlds.rule_rows(order_in_worlds.order_drives(), effective),
     )
-    some = np.random.default_rng(0).permutation(np.concatenate(before))[:4000]
-    return (drawn, learned), tables, (some, after)
+    return (drawn, learned), tables
 
 
 def yaw_weights():
@@ -81,7 +80,6 @@ PICTURES = {
     "fig08_errors": lambda: scenarios.errors(pairs()),
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
-    "inverse_predictions": lambda: which_worlds.predictions(*inverse()[2]),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))
     ),
@@ -127,7 +125,7 @@ def test_the_tables_in_git_are_what_the_drives_in_git_give(monkeypatch):
 
 def test_a_posterior_is_drawn_over_the_range_of_its_prior_and_in_colour_if_it_tells():
     """Oracle: the worlds in each bin, over those that a flat prior has there."""
-    (drawn, learned), *_ = inverse()
+    (drawn, learned), _ = inverse()
     shown = learned.loc[["speed_mps", "mu_slip", "kappa_slip", "rows", "turn_demand"]]
     figure = which_worlds.posterior(drawn, shown)
     assert [axes.get_visible() for axes in figure.axes] == [True] * 5 + [False] * 3
