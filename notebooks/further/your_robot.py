@@ -27,7 +27,7 @@ def positions(log, path):
     ):
         axes.plot(*poses[:, :2].T, label=name, color=COLOURS[name], **look)
     axes.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
-    legend_outside(figure, axes, "lower center", 4)
+    legend_outside(figure, axes, "lower center")
     return figure
 
 
@@ -62,7 +62,7 @@ def parameters_and_commands(time_s, log, parameters, commands):
     panels[0, 0].set_ylabel("parameter [-]")
     panels[1, 0].set_ylabel("command [m/s]")
     figure.supxlabel("time [s]  (dashed: bounds)", fontsize=8)
-    legend_outside(figure, panels[0, 0], "upper center", 3)
+    legend_outside(figure, panels[0, 0], "upper center")
     return figure
 
 

@@ -75,10 +75,10 @@ def legend_above(axes):
     axes.legend(*entries, **place, ncols=len(entries[0]))
 
 
-def legend_outside(figure, axes, place, ncols):
-    """Add a legend of the entries of the axes at an edge of the figure."""
+def legend_outside(figure, axes, place):
+    """Add a legend in one line of the entries of the axes at an edge of the figure."""
     entries = axes.get_legend_handles_labels()
-    figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
+    figure.legend(*entries, loc=f"outside {place}", ncols=len(entries[0]))
 
 
 def ticks_at_the_ends(axes, ticks):

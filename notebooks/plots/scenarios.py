@@ -209,7 +209,7 @@ def trajectories(pairs):
         _beside_the_path(axes, runs)
         axes.sharex(panels[-1])
     panels[-1].set_xlabel("way along the path [m]  (shaded: curved parts)")
-    parts.legend_outside(figure, panels[-1], "lower center", 3)
+    parts.legend_outside(figure, panels[-1], "lower center")
     return figure
 
 
@@ -322,7 +322,7 @@ def errors(pairs):
         _time_axis(column, first.log)
     drive = f"{_where(first)}, seed {first.scenario.seed}"
     figure.suptitle(f"One drive: {drive}; in the titles its mean errors", fontsize=8)
-    parts.legend_outside(figure, panels[0, 0], "lower center", 5)
+    parts.legend_outside(figure, panels[0, 0], "lower center")
     return figure
 
 
@@ -336,7 +336,7 @@ def _difference(axes, runs):
     shown_m = np.clip(difference_m, -_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
     for name, side in (("RHE", shown_m < 0), ("EKF", shown_m > 0)):
         look = dict(color=colour_of(name), alpha=0.6, linewidth=0, step="mid")
-        axes.fill_between(t_s, np.where(side, shown_m, 0), label=f"{name} is nearer", **look)
+        axes.fill_between(t_s, np.where(side, shown_m, 0), **look)
     axes.axhline(0, color=BLACK, linewidth=0.6)
     axes.set_ylim(-_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
 
@@ -436,7 +436,7 @@ def estimates(drives):
     limits = ((-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
     for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
-    parts.legend_outside(figure, rows[1, 0], "lower center", 4)
+    parts.legend_outside(figure, rows[1, 0], "lower center")
     return figure
 
 
@@ -541,7 +541,7 @@ def speed(drives):
     _time_axis([axes], log)
     words = f"standard deviations [m/s]: {', '.join(deviations)}"
     figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
-    parts.legend_outside(figure, axes, "lower center", 4)
+    parts.legend_outside(figure, axes, "lower center")
     return figure
 
 
@@ -555,7 +555,7 @@ def yaw_rate(run):
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
-    parts.legend_outside(figure, axes, "lower center", 3)
+    parts.legend_outside(figure, axes, "lower center")
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     title = f"{_title(run)}: actual − reference, RMS {rms:.3f} rad/s"
