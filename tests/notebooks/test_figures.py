@@ -4,6 +4,7 @@ verdicts by the rule.
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -357,6 +358,34 @@ def test_what_the_estimator_states_is_what_it_said_in_the_loop(runs, process_noi
         settled = run.log["t_s"].to_numpy() >= 20
         assert inside == np.mean((np.abs(value - truth) <= 2 * sigma)[settled])
     assert (found["theta_rad"][2] == 0).all()
+
+
+def test_each_phase_has_the_time_that_it_took(monkeypatch):
+    """Of a clock on which a call takes as many µs as its place, and the references 9."""
+    now_us = [0]
+
+    def takes(us, answer=None):
+        def call(*_, **__):
+            now_us[0] += us
+            return answer
+
+        return call
+
+    estimate = SimpleNamespace(pose=None, p=None)
+    rhe = SimpleNamespace(prepare=takes(1), feedback=takes(2, estimate))
+    rhc = SimpleNamespace(prepare=takes(3), feedback=takes(4))
+    monkeypatch.setattr(timing.time, "perf_counter_ns", lambda: 1000 * now_us[0])
+    monkeypatch.setattr(timing.rhec, "RHE", lambda **_: rhe)
+    tracker = SimpleNamespace(references=takes(9, (None, None)))
+    monkeypatch.setattr(timing, "PathTracker", lambda path: tracker)
+    taken = timing.phases(rhec.Scenario(duration_s=2.0), lambda **_: rhc)
+    np.testing.assert_array_equal(taken, [[1.0, 2.0, 3.0, 4.0]] * 9)
+    assert (
+        tuple(
+            (problem, phase) for problem in ("RHE", "RHC") for phase in ("preparation", "feedback")
+        )
+        == timing.PHASES
+    )
 
 
 def test_table_1_is_the_papers_form_in_milliseconds():
