@@ -231,6 +231,21 @@ def test_a_trial_has_the_noise_and_the_rate_that_it_says():
     assert len(transfer._noisy(slow, 1)) == len(slow)
 
 
+@pytest.mark.parametrize("name", rivals.RIVALS)
+def test_each_standard_deviation_of_a_rival_is_searched_once_and_alike_on_both_sides(name):
+    """Those of V, of the parameters' walk and of the slip, without the side slip and what is known:
+    a place in x has that in y, and the left track that of the right one.
+    """
+    places = [place for unknown in transfer._SEARCHED[name] for place in unknown]
+    names = [*"xyνω", *rivals.RIVALS[name].model.parameters, *"ahead turning side bumps".split()]
+    known = {names.index("half_width_m")} if "half_width_m" in names else {4, 5}
+    assert sorted([*places, *known]) == list(range(len(names)))
+    assert {*transfer._NOT_SEARCHED[name]} == known
+    pairs = [[names[place] for place in of] for of in transfer._SEARCHED[name] if len(of) > 1]
+    both_sides = [["x", "y"], ["y_left_m", "y_right_m"], ["left", "right"]]
+    assert pairs == [pair for pair in both_sides if pair[0] in names]
+
+
 def test_what_a_rival_knows_does_not_walk():
     sigma = np.arange(1.0, 13.0)
     settings = transfer._settings("EKF of (μ, κ)", 0.3, sigma)
