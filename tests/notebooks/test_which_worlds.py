@@ -115,6 +115,19 @@ def test_a_proposal_lies_about_the_draws_and_leaves_alone_what_they_do_not_tell(
     assert not kept.mean.any() and np.array_equal(kept.covariance, np.eye(2))
 
 
+def test_truths_are_of_different_worlds_and_as_likely_as_the_prior_says(toy):
+    """Of the four simulations of a world two are nine times as likely as the others."""
+    numbers = np.arange(20_000)
+    table = toy._replace(world=numbers // 4, prior=np.where(numbers % 2, 1.0, 9.0))
+    rng = np.random.default_rng(1)
+    rows = which_worlds.truths(table, 500, rng, None)
+    assert len({*table.world[rows]}) == len(rows) == 500
+    assert np.mean(rows % 2 == 0) == pytest.approx(0.9, abs=0.04)
+    near = abc_regression.Draws(np.zeros((40, 2)), np.ones(40), np.arange(100, 140), 10.0)
+    few = which_worlds.truths(table, 500, rng, near)
+    assert {*table.world[few]} == {*range(25, 35)} and {*few} <= {*near.rows}
+
+
 def test_a_draw_comes_as_often_as_its_weight_says():
     weights = np.array([0.5, 0.3, 0.2])
     draws = abc_regression.Draws(np.eye(3), weights, np.array([4, 5, 6]), 3.0)
