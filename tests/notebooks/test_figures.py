@@ -20,7 +20,7 @@ from notebooks.plots import scenarios
 from notebooks.plots.scenarios import stated
 from notebooks.plots.timing import phases
 from notebooks.studies import timing
-from notebooks.studies.scenario_tables import over_fields, scenario_a_table, scenario_b_table
+from notebooks.studies.scenario_tables import scenario_a_table, scenario_b_table
 from rhec import paper, style
 
 SEEDS = range(2)
@@ -270,7 +270,8 @@ def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(d
 def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
     runs = drives["prediction"]
     for axes, name in zip(drawn["kkt"].axes, ("RHE", "RHC")):
-        low, middle, high = over_fields(runs, f"kkt_{name.lower()}")
+        kkt = [run.columns[f"kkt_{name.lower()}"] for run in runs]
+        low, middle, high = np.percentile(kkt, (5, 50, 95), axis=0)
         (line,) = axes.lines
         np.testing.assert_allclose(line.get_ydata(), np.maximum(middle, 5e-6))
         np.testing.assert_allclose(line.get_xdata(), 0.2 * np.arange(1, len(middle) + 1))
@@ -337,15 +338,6 @@ def ends_of(band):
     """The lowest and the highest value of a filled band."""
     values = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
     return np.nanmin(values), np.nanmax(values)
-
-
-def test_bands_hold_the_middle_of_the_drives(drives):
-    of_rhe = drives["prediction"]
-    errors = np.array([run.columns["error_m"] for run in of_rhe])
-    low, middle, high = over_fields(of_rhe, "error_m")
-    one, other = np.sort(errors, axis=0)
-    np.testing.assert_allclose(middle, (one + other) / 2)
-    np.testing.assert_allclose([low - one, other - high], 0.05 * np.array([other - one] * 2))
 
 
 @pytest.mark.parametrize("process_noise", ["printed", "prediction"])

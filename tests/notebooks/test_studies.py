@@ -8,7 +8,6 @@ import pytest
 
 import rhec
 from notebooks.further import consistency, faults, recorded_logs, transfer, unknowns
-from notebooks.further.recorded import verdicts
 from notebooks.studies import interpretations, order, order_in_worlds, tables, toolchain
 from notebooks.studies.parallel import map_runs
 from rhec import style
@@ -37,7 +36,6 @@ SHOWN = {
     "table_unknowns": (unknowns.readable_errors, "robot", "world"),
     "table_replay": (tables.readable, "quantity", "estimator"),
     "table_consistency": (consistency.verdicts, "estimator", None),
-    "table_recorded_coverage": (verdicts.coverage, "kind", None),
     "table_recorded_yaw": (transfer.of_the_page, "log", None),
     "table_faults": (faults.readable_fault_table, "case", None),
 }
@@ -48,9 +46,6 @@ def test_a_table_for_readers_has_the_order_of_what_it_shows(name):
     """The rows of the published tables are in no alphabetical order."""
     show, rows, columns = SHOWN[name]
     table = published(name)
-    if name == "table_recorded_coverage":
-        ends = {f"{of}_{end}": 0.5 for of in ("μ", "κ", "drift") for end in ("low", "true", "high")}
-        table = table.assign(way_in_95=1.0, smoothed_in_95=1.0, **ends)
     shown = show(table.assign(seed=0))
     told = shown.reset_index()
     told = told[rows] if rows in told else told.iloc[:, 0]

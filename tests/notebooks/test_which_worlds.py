@@ -271,15 +271,6 @@ def test_a_median_of_worlds_has_the_interval_of_its_order_statistics(monkeypatch
     assert list(found["p95"] - found["p5"]) == pytest.approx([0.9 * (n - 1)] * len(found))
 
 
-def test_the_centre_is_a_world_in_the_middle():
-    centre = which_worlds.centre()
-    rhec.Scenario(**centre)
-    table = which_worlds.posterior_table()
-    table = table.assign(slip_difference=table["slip_difference"].abs())
-    for name in set(centre) & set(table.select_dtypes("number")) - {"command_delay"}:
-        assert 0.4 < np.mean(table[name] <= centre[name]) < 0.6, name
-
-
 @pytest.mark.parametrize("world", [5, which_worlds.FIRST_ROUND + 7])
 def test_files_hold_what_the_code_drives(world):
     """Each robot on both fields, and all that is kept of its drives."""
@@ -323,14 +314,6 @@ def test_shares_count_drives():
     assert table.loc["all statements together", "drives"] == 0
     assert (table["drives_low"] <= table["drives"]).all()
     assert (table["drives"] <= table["drives_high"]).all()
-
-
-@pytest.mark.parametrize("hits, n", [(0, 40), (13, 40), (40, 40)])
-def test_the_interval_of_a_share_is_that_of_clopper_and_pearson(hits, n):
-    """Oracle: SciPy's, where the effective number is a whole one."""
-    share, low, high = which_worlds.effective_share(hits / n, n)
-    exact = stats.binomtest(hits, n).proportion_ci(0.95, "exact")
-    assert (share, low, high) == pytest.approx((hits / n, exact.low, exact.high))
 
 
 def test_worlds_that_come_twice_count_less():
