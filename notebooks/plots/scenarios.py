@@ -27,7 +27,6 @@ _MARGIN_M = 3.0  # around a drive on the map
 _MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
 _MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
 _MOST_DIFFERENCE_M = 0.05  # ends of the axis of the difference of two errors
-_START_S = 20.0  # by then each drive that settles at all has left its start behind
 _EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
 _SPEEDS = (  # column, role of its colour, label, width of its line
@@ -354,7 +353,7 @@ def _beyond(axes, runs):
     """Tell the largest error of each drive that leaves the axis once its start is over."""
     place = 0.97
     for name, run in runs.items():
-        largest_m = run.log["error_m"][run.log["t_s"] > _START_S].max()
+        largest_m = run.log["error_m"][run.log["t_s"] >= SETTLED_S].max()
         if largest_m > _MOST_ERROR_M:
             colour = colour_of(run.scenario.estimator)
             look = dict(xycoords="axes fraction", color=colour, ha="right", va="top")
@@ -442,9 +441,9 @@ def estimates(drives):
 
 def _excerpt(log):
     """A time span [s] about the end of the first curve: κ shows in the curve, not on the row."""
-    curve = log["t_s"][~log["on_straight"] & (log["t_s"] > _START_S)]
-    ends = curve[curve.diff().shift(-1) > 1]
-    end_s = ends.iloc[0] if len(ends) else curve.max() if len(curve) else log["t_s"].max()
+    curves = log["t_s"][~log["on_straight"]]
+    is_last = curves.diff().shift(-1, fill_value=np.inf) > 1  # of its curve
+    end_s = curves[is_last].iloc[0]
     return end_s - _EXCERPT_S / 2, end_s + _EXCERPT_S / 2
 
 
@@ -503,7 +502,7 @@ def _least_mu(drives):
 
 def _many_estimates(panels, runs, least_mu):
     """Draw how frequent yaw errors and values of μ and κ are in all drives."""
-    settled = runs[0].columns["t_s"] > _START_S
+    settled = runs[0].columns["t_s"] >= SETTLED_S
     logs = [run.columns for run in runs]
     error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
     for axes, estimate, truth, limits in [
@@ -527,7 +526,7 @@ def speed(drives):
     panels = dict(figsize=(DOUBLE_IN, 2.4), sharey=True, width_ratios=(5, 1))
     figure, (axes, beside) = plt.subplots(1, 2, **panels)
     log = drives[0].log
-    settled = drives[0].columns["t_s"] > _START_S
+    settled = drives[0].columns["t_s"] >= SETTLED_S
     limits = log["nu_meas_mps"].agg(["min", "max"])
     deviations = []
     for column, name, label, width in _SPEEDS:

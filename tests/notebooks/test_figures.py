@@ -227,7 +227,7 @@ def test_one_drive_is_drawn_as_it_was_and_the_many_beside_it(drawn, drives):
     assert any(np.array_equal(line.get_ydata(), run.log["kappa"]) for line in kappa.lines)
     time, beside = drawn["speed"].axes
     np.testing.assert_array_equal(time.lines[0].get_ydata(), run.log["nu_meas_mps"])
-    settled = np.array([other.columns["nu_meas_mps"][101:] for other in (run, *others)])
+    settled = np.array([other.columns["nu_meas_mps"][100:] for other in (run, *others)])
     assert f"measured {settled.std():.3f}" in words(drawn["speed"])
     assert len(beside.patches) == 3
 
@@ -251,7 +251,7 @@ def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(d
             shares, edges, _ = stairs.get_data()
             assert shares.sum() == pytest.approx(100)
             assert time.get_ylim()[0] <= edges[0] < edges[-1] <= time.get_ylim()[1]
-        settled = np.concatenate([run.columns["t_s"] > 20 for run in runs])
+        settled = np.concatenate([run.columns["t_s"] >= 20 for run in runs])
         if unit != "θ":
             both = dict(μ=("mu_hat", "mu"), κ=("kappa_hat", "kappa"))[unit]
             at_bound = np.mean((value < 1e-6) | (value > 1 - 1e-6))
@@ -291,7 +291,7 @@ def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
         assert shares.max() == 1 and (edges[0], edges[-1]) == pytest.approx(
             (time.lines[0].get_ydata().min(), time.lines[0].get_ydata().max())
         )
-        values = np.concatenate([run.columns[column][run.columns["t_s"] > 20] for run in runs])
+        values = np.concatenate([run.columns[column][run.columns["t_s"] >= 20] for run in runs])
         assert edges[shares.argmax()] - 0.02 < np.median(values) < edges[shares.argmax()] + 0.02
     assert [*time.lines[3].get_ydata()] == [paper.SPEED_MPS] * 2
 
