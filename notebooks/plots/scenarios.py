@@ -443,7 +443,7 @@ def _excerpt(log):
     """A time span [s] about the end of the first curve: κ shows in the curve, not on the row."""
     curves = log["t_s"][~log["on_straight"]]
     is_last = curves.diff().shift(-1, fill_value=np.inf) > 1  # of its curve
-    end_s = curves[is_last].iloc[0]
+    end_s = min(curves[is_last], default=log["t_s"].max())
     return end_s - _EXCERPT_S / 2, end_s + _EXCERPT_S / 2
 
 

@@ -156,6 +156,19 @@ def test_axes_have_units_and_no_text_is_cut_off_or_over_another(drawn):
             assert axes.get_ylabel() or not has_numbers, (name, axes.get_xlabel())
 
 
+@pytest.mark.parametrize(
+    "name", ["trajectories", "errors", "violations", "estimates", "speed", "yaw_rate", "phases"]
+)
+def test_a_legend_names_all_that_is_drawn_and_labels_have_units(drawn, name):
+    figure = drawn[name]
+    legends = [*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))]
+    told = {text.get_text() for legend in legends for text in legend.texts}
+    drawn_as = {label for axes in figure.axes for label in axes.get_legend_handles_labels()[1]}
+    assert told and drawn_as - {"reference"} == told - {"reference"}
+    quantities = [text for each in figure.axes for text in (each.get_xlabel(), each.get_ylabel())]
+    assert all("[" in text for text in filter(None, quantities)) and any(quantities)
+
+
 def test_the_papers_numbers_stand_beside_ours(drawn, runs):
     errors = words(drawn["errors"])
     assert (
