@@ -944,10 +944,9 @@ def main():
     design = both_rounds(first)
     second = drive_round(design.unit[FIRST_ROUND:], FIRST_ROUND, folder)
     write(pd.concat([first, second]).astype(np.float16), PRIOR_DRIVES)
-    _, fields, draws = posterior_draws(simulations(prior_drives(), design))
+    _, fields, _ = posterior_draws(simulations(prior_drives(), design))
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
     write(drive_posterior(), POSTERIOR_DRIVES)
-    print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
 
 
 if __name__ == "__main__":

@@ -341,3 +341,28 @@ def test_an_interrupted_campaign_goes_on_with_the_blocks_that_it_kept(monkeypatc
     pd.testing.assert_frame_equal(
         more, drives.iloc[: 12 * which_worlds.FIELDS], rtol=1e-3, check_names=False
     )
+
+
+def test_the_files_in_git_are_those_that_the_drives_give(monkeypatch, tmp_path):
+    """Of both rounds, and of the posterior, whose worlds were drawn in another order once."""
+    stored = which_worlds.prior_drives()
+    last = which_worlds.read(which_worlds.POSTERIOR_DRIVES).astype(np.float16)
+    worlds = which_worlds.posterior_table()
+    for name in ("PRIOR_DRIVES", "POSTERIOR_WORLDS", "POSTERIOR_DRIVES"):
+        monkeypatch.setattr(which_worlds, name, tmp_path / name)
+
+    def drive_round(unit, first_world, folder):
+        assert folder == tmp_path
+        return stored.loc[first_world : first_world + len(unit) - 1]
+
+    monkeypatch.setattr(which_worlds, "drive_round", drive_round)
+    monkeypatch.setattr(which_worlds, "drive_posterior", lambda: last)
+    monkeypatch.setattr("sys.argv", ["which_worlds", "--folder", str(tmp_path)])
+    which_worlds.main()
+    pd.testing.assert_frame_equal(which_worlds.prior_drives(), stored)
+    made = which_worlds.posterior_table()
+    assert list(made) == list(worlds) and len(made) == len(worlds)
+    counts = [table["world"].value_counts() for table in (made, worlds)]
+    assert counts[0].sub(counts[1], fill_value=0).abs().max() <= 3
+    written = which_worlds.read(which_worlds.POSTERIOR_DRIVES)
+    pd.testing.assert_frame_equal(written, last.astype(float))
