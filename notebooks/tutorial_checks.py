@@ -184,8 +184,9 @@ def feedforward(turn):
     return "the robot stays on every circle tried, on every soil."
 
 
-def _off_circle(curvature, omega, p, samples=50):
-    """How far a robot is off the circle after some samples, in place [m] or yaw [rad]."""
+def _off_circle(curvature, omega, p):
+    """How far a robot is off the circle after 10 s, in place [m] or yaw [rad]."""
+    samples = round(10 / paper.DT_S)
     nu, mu, _ = p
     pose = np.zeros(3)
     for _ in range(samples):

@@ -211,6 +211,40 @@ def recorded_log(
     return log
 
 
+BY_M = 512.0, -2048.0  # whole powers of two, so that positions keep their digits
+LATER_S = 4096.0
+TURNED = "y_m", "yaw_rate_radps", "yaw_true_rad", "y_true_m", "yaw_rate_true_radps", "gyro_radps"
+
+
+def in_a_mirror(log):
+    """The log in a mirror along the x axis: left is right, tracks included."""
+    turned = {name: -log[name] for name in TURNED if name in log}
+    tracks = dict(v_left_mps=log["v_right_mps"], v_right_mps=log["v_left_mps"])
+    return log.assign(**turned, **tracks)
+
+
+def moved(log):
+    return log.assign(
+        **{name: log[name] + BY_M[0] for name in ("x_m", "x_true_m")},
+        **{name: log[name] + BY_M[1] for name in ("y_m", "y_true_m")},
+    )
+
+
+def turned(log):
+    """The log turned to the left by a right angle: x becomes y, and y becomes -x."""
+    return log.assign(
+        x_m=-log["y_m"],
+        y_m=log["x_m"],
+        x_true_m=-log["y_true_m"],
+        y_true_m=log["x_true_m"],
+        yaw_true_rad=log["yaw_true_rad"] + np.pi / 2,
+    )
+
+
+def later(log):
+    return log.assign(t_s=log["t_s"] + LATER_S)
+
+
 # A test that marks itself proves something else of a replay whose yaw may be unknown meanwhile.
 may_be_unsure = pytest.mark.filterwarnings("ignore:The yaw is not known to")
 warns_of_an_unknown_yaw = functools.partial(

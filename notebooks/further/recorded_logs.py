@@ -50,9 +50,14 @@ def estimators(process_noise, of_the_rhe):
 
 
 def trials(log, seeds, estimators, **perturbation):
-    """{estimator: scores over noise seeds}, of `estimators` on a log with a perturbation."""
+    """{estimator: scores, a row a noise seed}, of `estimators` on a log with a perturbation."""
     return {
-        name: scores.perturbed_scores(log, seeds, **perturbation, **arguments)
+        name: pd.DataFrame(
+            [
+                scores.score(scores.perturbed_replay(log, seed, **perturbation, **arguments))
+                for seed in seeds
+            ]
+        )
         for name, arguments in estimators.items()
     }
 

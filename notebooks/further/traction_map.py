@@ -199,7 +199,7 @@ def counts(table):
             soils=len(of_rival),
             ratio=np.exp(np.log(of_rival["mean"]).mean()),
         )
-        for told, of_rival in _driven(table).groupby("told", sort=False)
+        for told, of_rival in _driven(table).groupby("told")
     ]
     order = [*map(str, ERRORS), NO_SLIP]
     return pd.DataFrame(rows).sort_values(

@@ -1,82 +1,14 @@
-"""What each unknown is worth in every world, and a map over the soil."""
+"""A map of what an estimate of the traction is worth, over the soil."""
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
-from notebooks.further import traction_map, unknowns
-from notebooks.plots.parts import legend_outside, log_axis, panels_beside
+from notebooks.further import traction_map
 from notebooks.studies.tables import with_minus
 from rhec import paper, style
 
 _WORTH = LinearSegmentedColormap.from_list("worth", [style.SKY, "w", style.ORANGE])
 _SPAN = 0.3  # of the ratios that differ in colour, on both sides of 1
-
-
-_ROBOTS = {  # {robot: colour and line} of the picture of unknowns
-    unknowns.NOTHING: (style.GREY, ":"),
-    unknowns.TOLD_TRACTION: (style.BLACK, ":"),
-    unknowns.TRACTION: (style.COLOURS["RHE"], "--"),
-    unknowns.GYRO: (style.GREEN, "--"),
-    unknowns.DRIFT: (style.PURPLE, "-"),
-    unknowns.BOTH: (style.COLOURS["RHE"], "-"),
-    unknowns.ALL: (style.GREEN, "-"),
-}
-
-_LEAST_M, _MOST_M = 0.008, 0.2  # limits of its axis
-
-
-@style.styled
-def unknowns_by_difference(table):
-    """Draw the errors over the difference of the tracks' slip, and those of other worlds.
-
-    Args:
-        table: Of `notebooks.further.unknowns.worth_table`.
-    """
-    errors = table[table["quantity"] == unknowns.ERROR]
-    figure, panels = panels_beside(2, 3.4)
-    for axes, weights in zip(panels, (unknowns.AS_PRINTED, unknowns.TUNED)):
-        of_weights = errors[errors["weights"] == weights].set_index(["robot", "world"])
-        for number, (robot, (colour, line)) in enumerate(_ROBOTS.items()):
-            shift = 0.03 * (number - len(_ROBOTS) / 2)
-            _draw_robot(axes, of_weights.loc[robot], colour, line, robot, shift)
-        axes.set_title(weights, loc="center")
-        labels = [_label(world) for world in _places()]
-        axes.set_xticks(range(len(labels)), labels, fontsize=style.SMALL_PT, rotation=60)
-        log_axis(axes.yaxis)
-        axes.set_ylim(_LEAST_M, _MOST_M)
-        axes.set_xlabel("d (the left track slips more), and other worlds")
-    panels[0].set_ylabel("mean true error of a drive [m]")
-    legend_outside(figure, panels[0], "lower center", 3)
-    fields = errors["n"].min()
-    words = f"W by prediction, turns to alternate sides, {fields} fields or more of each world"
-    figure.suptitle(words, fontsize=8)
-    return figure
-
-
-def _places():
-    """The worlds along the axis: by d, then the others."""
-    worlds = [*unknowns.WORLDS, unknowns.POSTERIOR]
-    worlds.remove(unknowns.SOFT)  # an oracle is lost in it, too
-    return worlds
-
-
-def _label(world):
-    """A world, at the axis."""
-    return with_minus(world.removeprefix("d = ")).replace(", ", ",\n")
-
-
-def _draw_robot(axes, errors, colour, line, label, shift):
-    """Draw the means of a robot with their intervals: a line over d, points for other worlds."""
-    errors = errors.loc[_places()]
-    n = len(unknowns.DIFFERENCES)
-    look = dict(color=colour, markersize=2.5, marker="o", capsize=1, elinewidth=0.6)
-    for part, style_of_line in ((slice(0, n), line), (slice(n, None), "none")):
-        rows = errors.iloc[part]
-        place = np.arange(len(errors))[part] + shift
-        ends = [rows["mean"] - rows["low"], rows["high"] - rows["mean"]]
-        text = label if style_of_line != "none" else None
-        axes.errorbar(place, rows["mean"], yerr=ends, linestyle=style_of_line, label=text, **look)
 
 
 @style.styled

@@ -149,9 +149,14 @@ def _middle(calibrations):
     fields = {}
     for name in ("sigma_v", "sigma_w", "slip"):
         values = np.array([calibration[name] for calibration in calibrations])
-        fields[name] = np.exp(np.log(np.maximum(values, 1e-6)).mean(axis=0))
-    fields["slip"][-1] = np.mean([calibration["slip"][-1] for calibration in calibrations])
-    return {name: tuple(value.tolist()) for name, value in fields.items()}
+        fields[name] = _geometric_mean(np.maximum(values, 1e-6))
+    side = np.mean([calibration["slip"][-1] for calibration in calibrations]).item()
+    return fields | dict(slip=(*fields["slip"][:-1], side))
+
+
+def _geometric_mean(rows):
+    """The geometric mean of each column, a tuple."""
+    return tuple(np.exp(np.log(rows).mean(axis=0)).tolist())
 
 
 def _row(log, estimator, tuned, seed, samples):
@@ -161,83 +166,68 @@ def _row(log, estimator, tuned, seed, samples):
     return about | {name: values.get(name, np.nan) for name in _SCORES}
 
 
-def _trials_of_rhe(log, noisy, fields, seed, name="RHE"):
-    """Rows of the RHE on a noisy log, also smoothed; fields: {way of tuning: its numbers}."""
-    return [
-        _row(log, title, tuned, seed, _rhe(noisy, numbers, smooth))
-        for title, smooth in ((name, False), (f"{name}, smoothed", True))
-        for tuned, numbers in fields.items()
-    ]
-
-
-def _trials_of_rivals(log, noisy, sigmas, rest, seed):
-    """Rows of the rivals on a noisy log; sigmas: {rival: {log: its sigma}}, rest: other logs."""
-    recording = prepare(noisy)
-    half_m = recording.track_width_m / 2
-    parts = recording.samples()
-    rows = []
-    for title in _SEARCHED:
-        others = np.exp(np.log([sigmas[title][other] for other in rest]).mean(axis=0))
-        for tuned, sigma in (("itself", sigmas[title][log]), ("others", tuple(others))):
-            rows.append(_row(log, title, tuned, seed, _rival(title, half_m, parts, sigma)))
-    return rows
-
-
 def _calibrated(log):
     return dict(calibrate(_noisy(log, _TUNING_SEED)))
 
 
-def _tried(name, log, fields, sigmas, rest, seed):
-    """Rows of all estimators on a log without sensors, with the noise of a seed."""
-    noisy = _noisy(log, seed)
-    return [
-        *_trials_of_rhe(name, noisy, fields, seed),
-        *_trials_of_rivals(name, noisy, sigmas, rest, seed),
+def _tried(log, noise_free, title, fields, sigmas, seed):
+    """Rows of `trials` of a log with the noise of a seed.
+
+    Args:
+        log: Name of the log.
+        noise_free: The log.
+        title: Of the RHE.
+        fields: {way of tuning: numbers of the RHE}.
+        sigmas: {rival: {way of tuning: its sigma}}.
+        seed: Of the noise.
+    """
+    noisy = _noisy(noise_free, seed)
+    rows = [
+        _row(log, f"{title}{words}", tuned, seed, _rhe(noisy, numbers, smooth))
+        for words, smooth in (("", False), (", smoothed", True))
+        for tuned, numbers in fields.items()
     ]
+    recording = prepare(noisy)
+    half_m = recording.track_width_m / 2
+    parts = recording.samples()
+    for rival, of_rival in sigmas.items():
+        for tuned, sigma in of_rival.items():
+            rows.append(_row(log, rival, tuned, seed, _rival(rival, half_m, parts, sigma)))
+    return rows
 
 
 def trials(logs, seeds):
     """Scores of every estimator on two or more recordings with their truth, {name: DataFrame}.
 
-    The table has one row for each log, estimator, way of tuning and noise seed.
+    The table has one row for each log, estimator, way of tuning and noise seed. Where a log has a
+    gyro, the RHE comes a second time, with it.
     """
-    logs = {
-        name: page.aligned(log.drop(columns=_SENSORS, errors="ignore"))
-        for name, log in logs.items()
-    }
-    tunings = [partial(_calibrated, log) for log in logs.values()]
+    logs = {name: page.aligned(log) for name, log in logs.items()}
+    plain = {name: log.drop(columns=_SENSORS, errors="ignore") for name, log in logs.items()}
+    with_gyro = {name: log for name, log in logs.items() if {*_SENSORS} & {*log}}
+    tunings = [partial(_calibrated, log) for log in (*plain.values(), *with_gyro.values())]
     tunings += [
         partial(_tuned, title, _noisy(log, _TUNING_SEED))
         for title in _SEARCHED
-        for log in logs.values()
+        for log in plain.values()
     ]
     found = iter(parallel_map(operator.call, tunings))
-    numbers = dict(zip(logs, found))
-    sigmas = {title: dict(zip(logs, found)) for title in _SEARCHED}
+    numbers = dict(zip(plain, found))
+    numbers_with_gyro = dict(zip(with_gyro, found))
+    sigmas = {title: dict(zip(plain, found)) for title in _SEARCHED}
     tasks = []
-    for name, log in logs.items():
-        rest = [other for other in logs if other != name]
+    for name, log in plain.items():
+        rest = [other for other in plain if other != name]
         of_others = _middle([numbers[other] for other in rest])
         fields = dict(itself=numbers[name], others=of_others, shipped={})
-        tasks += [partial(_tried, name, log, fields, sigmas, rest, seed) for seed in seeds]
-    return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
-
-
-def _tried_with_gyro(name, log, found, seed):
-    """Rows of the RHE on a log with its gyro, with the noise of a seed."""
-    fields = dict(itself=found, shipped={})
-    return _trials_of_rhe(name, _noisy(log, seed), fields, seed, "RHE, gyro")
-
-
-def trials_with_gyro(logs, seeds):
-    """Rows as of `trials`, of the RHE on those logs that have a gyro."""
-    logs = {name: page.aligned(log) for name, log in logs.items() if {*_SENSORS} & {*log}}
-    found = parallel_map(_calibrated, logs.values())
-    tasks = [
-        partial(_tried_with_gyro, name, log, numbers, seed)
-        for (name, log), numbers in zip(logs.items(), found)
-        for seed in seeds
-    ]
+        of_rivals = {
+            title: dict(itself=of[name], others=_geometric_mean([of[other] for other in rest]))
+            for title, of in sigmas.items()
+        }
+        tasks += [partial(_tried, name, log, "RHE", fields, of_rivals, seed) for seed in seeds]
+    for name, log in with_gyro.items():
+        fields = dict(itself=numbers_with_gyro[name], shipped={})
+        tasks += [partial(_tried, name, log, "RHE, gyro", fields, {}, seed) for seed in seeds]
     return pd.DataFrame(itertools.chain.from_iterable(parallel_map(operator.call, tasks)))
 
 
@@ -269,7 +259,7 @@ if __name__ == "__main__":
         sys.exit(
             f"{len(logs)} of {len(page.LOGS)} logs: python data/fetch_recordings.py fetches them"
         )
-    result = pd.concat([trials(logs, range(n)), trials_with_gyro(logs, range(n))])
+    result = trials(logs, range(n))
     out = Path("build/replay")
     out.mkdir(parents=True, exist_ok=True)
     result.to_csv(out / "transfer.csv", index=False)

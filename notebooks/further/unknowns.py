@@ -21,7 +21,7 @@ from notebooks.rivals import RIVALS
 from notebooks.studies import which_worlds
 from notebooks.studies.parallel import true_errors
 from notebooks.studies.statistics import over_seeds, ratio_of_means
-from notebooks.studies.tables import to_markdown
+from notebooks.studies.tables import interval_texts, to_markdown
 from rhec import paper
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.worlds import WORLDS as NAMED_WORLDS
@@ -196,6 +196,18 @@ def worth_table(errors):
             both = (errors[world, robot, weights] for robot in pair)
             rows.append(row | over_seeds(ratio_of_means, *both)._asdict())
     return pd.DataFrame(rows)
+
+
+def readable_errors(table):
+    """The mean true errors of `worth_table` in millimetres with their intervals, as texts.
+
+    A row is a robot with the paper's R or a tuned one, a column a world.
+    """
+    rows = table[table["quantity"] == ERROR]
+    texts = interval_texts(1e3 * rows[["mean", "low", "high"]])
+    return rows.assign(text=texts).pivot_table(
+        "text", ["weights", "robot"], "world", aggfunc="first", sort=False
+    )
 
 
 def _ratios(table, what, weights, worlds):

@@ -9,69 +9,61 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from notebooks.plots.parts import legend_outside, panels_beside
-from rhec.style import BLUE, COLOURS, DOUBLE_IN, VERMILLION, styled
-
-_BOUND = dict(color=VERMILLION, linestyle=":")
+from notebooks.plots.parts import BOUND, legend_outside
+from rhec.style import BLUE, COLOURS, DOUBLE_IN, styled
 
 
 @styled
-def positions(tracks):
-    """Draw {"reference", "truth", "measured" or "RHE": (n, 2) positions [m]} in the plane."""
+def positions(log, path):
+    """Draw the positions of a drive in the plane: measured, reference, truth and RHE."""
     figure, axes = plt.subplots(figsize=(DOUBLE_IN, 2.4))
-    looks = dict(measured=dict(linestyle="none", marker=".", markersize=2, zorder=1))
-    looks["reference"] = dict(linestyle="--")
-    for name, track in tracks.items():
-        axes.plot(*np.transpose(track), label=name, color=COLOURS[name], **looks.get(name, {}))
-    axes.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
-    legend_outside(figure, axes, "lower center", 4)
-    return figure
-
-
-@styled
-def parameters_and_bounds(time_s, estimates, sigmas, truth, bounds):
-    """Draw estimated parameters with two standard deviations within the bounds, and the truth.
-
-    All but the bounds, {name: (lowest, highest) or None}, are arrays (n, n_p).
-    """
-    figure, panels = panels_beside(len(bounds), 2.2)
-    columns = (np.transpose(values) for values in (estimates, sigmas, truth))
-    for axes, name, middle, sigma, true in zip(panels, bounds, *columns):
-        limits = bounds[name] or ()
-        band = np.clip([middle - 2 * sigma, middle + 2 * sigma], *limits or (-np.inf, np.inf))
-        axes.fill_between(time_s, *band, color=BLUE, alpha=0.2, linewidth=0, label="2 σ")
-        axes.plot(time_s, true, color=COLOURS["truth"], label="truth")
-        axes.plot(time_s, middle, color=COLOURS["RHE"], label="RHE")
-        for limit in limits:
-            axes.axhline(limit, label="bounds", **_BOUND)
-        axes.set(xlabel="time [s]", title=name)
-    panels[0].set_ylabel("parameter [-]")
-    # The two bounds share one legend entry.
-    handles, labels = panels[0].get_legend_handles_labels()
-    unique = dict(zip(labels, handles))
-    figure.legend(unique.values(), unique.keys(), loc="outside right center")
-    return figure
-
-
-@styled
-def commands_and_bounds(time_s, commands, bounds):
-    """Draw commands (n, n_u) over time, and their bounds {name: (lowest, highest)}."""
-    figure, panels = panels_beside(len(bounds), 1.8)
-    for axes, name, command in zip(panels, bounds, np.transpose(commands)):
-        axes.step(time_s, command, where="post", color=BLUE)
-        for limit in bounds[name]:
-            axes.axhline(limit, **_BOUND)
-        axes.set(xlabel="time [s]", title=name)
-    panels[0].set_ylabel("command, bounds dotted")
-    return figure
-
-
-def positions_of(log, path):
-    """{name: (n, 2) positions [m]} of a drive: measured, reference, truth and RHE."""
     _, s_m = path.project(log["x"][:, :2])
     reference, _ = path.poses(np.linspace(0, s_m.max(), len(log["x"])))
-    poses = dict(measured=log["z"], reference=reference, truth=log["x"], RHE=log["x_hat"])
-    return {name: values[:, :2] for name, values in poses.items()}
+    for name, poses, look in (
+        ("measured", log["z"], dict(linestyle="none", marker=".", markersize=2, zorder=1)),
+        ("reference", reference, dict(linestyle="--")),
+        ("truth", log["x"], {}),
+        ("RHE", log["x_hat"], {}),
+    ):
+        axes.plot(*poses[:, :2].T, label=name, color=COLOURS[name], **look)
+    axes.set(aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
+    legend_outside(figure, axes, "lower center")
+    return figure
+
+
+@styled
+def parameters_and_commands(time_s, log, parameters, commands):
+    """Draw estimated parameters with two standard deviations, the truth, and commands.
+
+    Args:
+        time_s: Times of the samples.
+        log: The log.
+        parameters: {name: (lowest, highest) or None} of the parameters, the last of the states.
+        commands: The same of the commands.
+    """
+    grid = dict(sharex=True, sharey="row", squeeze=False)
+    figure, panels = plt.subplots(2, len(parameters), figsize=(DOUBLE_IN, 3.8), **grid)
+    sigmas = log["sigma"][:, -len(parameters) :]
+    for k, (axes, name) in enumerate(zip(panels[0], parameters)):
+        middle = log["p_hat"][:, k]
+        ends = (middle - 2 * sigmas[:, k], middle + 2 * sigmas[:, k])
+        lowest, highest = parameters[name] or (-np.inf, np.inf)
+        band = np.clip(ends, lowest, highest)
+        axes.fill_between(time_s, *band, color=BLUE, alpha=0.2, linewidth=0, label="2 σ")
+        axes.plot(time_s, log["slips"][:, k], color=COLOURS["truth"], label="truth")
+        axes.plot(time_s, middle, color=COLOURS["RHE"], label="RHE")
+    for axes, command in zip(panels[1], log["u"].T):
+        axes.step(time_s, command, where="post", color=COLOURS["RHE"])
+    for row, bounds in zip(panels, (parameters, commands)):
+        for axes, name in zip(row, bounds):
+            for limit in bounds[name] or ():
+                axes.axhline(limit, **BOUND)
+            axes.set_title(name)
+    panels[0, 0].set_ylabel("parameter [-]")
+    panels[1, 0].set_ylabel("command [m/s]")
+    figure.supxlabel("time [s]  (dashed: bounds)", fontsize=8)
+    legend_outside(figure, panels[0, 0], "upper center")
+    return figure
 
 
 def errors(log, path, v_max_mps):

@@ -2,7 +2,6 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import LogLocator
 
 import rhec
 from notebooks.studies.tables import with_minus
@@ -49,13 +48,6 @@ def frequencies(axes, values, limits, colour, bins=50, relative=False):
     axes.set_xlim(left=0, auto=True)
 
 
-def rows_axis(axes, labels, quantity):
-    """Label rows from the top down, over a quantity that is at least 0."""
-    axes.set_yticks(range(len(labels)), labels)
-    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, None), xlabel=quantity)
-    axes.grid(axis="y", visible=False)
-
-
 def note(axes, text, xy, offset=(0, 0), **look):
     """Write small text at an offset [points] from a point."""
     look = dict(textcoords="offset points", fontsize=SMALL_PT, va="center") | look
@@ -83,10 +75,10 @@ def legend_above(axes):
     axes.legend(*entries, **place, ncols=len(entries[0]))
 
 
-def legend_outside(figure, axes, place, ncols):
-    """Add a legend of the entries of the axes at an edge of the figure."""
+def legend_outside(figure, axes, place):
+    """Add a legend in one line of the entries of the axes at an edge of the figure."""
     entries = axes.get_legend_handles_labels()
-    figure.legend(*entries, loc=f"outside {place}", ncols=ncols)
+    figure.legend(*entries, loc=f"outside {place}", ncols=len(entries[0]))
 
 
 def ticks_at_the_ends(axes, ticks):
@@ -96,11 +88,3 @@ def ticks_at_the_ends(axes, ticks):
     axes.set_xticks(ticks, [with_minus(text) for text in texts])
     for label, side in zip(axes.get_xticklabels(), ("left", "center", "right")):
         label.set_horizontalalignment(side)
-
-
-def log_axis(axis, labelled=(1, 2, 5)):
-    """Make an axis logarithmic, with labels at these multiples of the powers of ten."""
-    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(subs=labelled))
-    axis.set_major_formatter("{x:g}")
-    axis.axes.minorticks_off()

@@ -11,7 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from notebooks.plots import parts
 from notebooks.studies import names
-from notebooks.studies.scenario_tables import REPORTED, over_fields, share_of_fields
+from notebooks.studies.scenario_tables import REPORTED, over_fields
 from notebooks.studies.tables import interval_text, with_minus
 from rhec import paper
 from rhec.simulation.offline import SETTLED_S, run_estimator
@@ -27,7 +27,6 @@ _MARGIN_M = 3.0  # around a drive on the map
 _MOST_BESIDE_M = 0.25  # ends of the axis of the distance beside the path
 _MOST_ERROR_M = 0.3  # upper end of the axis of one drive's error
 _MOST_DIFFERENCE_M = 0.05  # ends of the axis of the difference of two errors
-_START_S = 20.0  # by then each drive that settles at all has left its start behind
 _EXCERPT_S = 30.0  # length of the time span that shows κ
 _NEAR_BOUND = 1e-6  # an estimate this near a bound is at it
 _SPEEDS = (  # column, role of its colour, label, width of its line
@@ -209,7 +208,7 @@ def trajectories(pairs):
         _beside_the_path(axes, runs)
         axes.sharex(panels[-1])
     panels[-1].set_xlabel("way along the path [m]  (shaded: curved parts)")
-    parts.legend_outside(figure, panels[-1], "lower center", 3)
+    parts.legend_outside(figure, panels[-1], "lower center")
     return figure
 
 
@@ -322,7 +321,7 @@ def errors(pairs):
         _time_axis(column, first.log)
     drive = f"{_where(first)}, seed {first.scenario.seed}"
     figure.suptitle(f"One drive: {drive}; in the titles its mean errors", fontsize=8)
-    parts.legend_outside(figure, panels[0, 0], "lower center", 5)
+    parts.legend_outside(figure, panels[0, 0], "lower center")
     return figure
 
 
@@ -336,42 +335,9 @@ def _difference(axes, runs):
     shown_m = np.clip(difference_m, -_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
     for name, side in (("RHE", shown_m < 0), ("EKF", shown_m > 0)):
         look = dict(color=colour_of(name), alpha=0.6, linewidth=0, step="mid")
-        axes.fill_between(t_s, np.where(side, shown_m, 0), label=f"{name} is nearer", **look)
+        axes.fill_between(t_s, np.where(side, shown_m, 0), **look)
     axes.axhline(0, color=BLACK, linewidth=0.6)
     axes.set_ylim(-_MOST_DIFFERENCE_M, _MOST_DIFFERENCE_M)
-
-
-@styled
-def errors_of_many(drives, table):
-    """Draw Figure 8 for many fields: Euclidean errors by raw GNSS.
-
-    Above are median and 95th percentile of all drives, below the share of samples above 0.12 m.
-
-    Args:
-        drives: {process noise: {"RHE": drives, "EKF": drives}}, a column for each.
-        table: Table of `notebooks.studies.scenario_tables.scenario_b_table`.
-    """
-    grid = dict(sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1))
-    figure, rows = plt.subplots(2, len(drives), figsize=(DOUBLE_IN, 3.8), **grid)
-    for panels, (noise, by_name) in zip(rows.T, drives.items()):
-        many, share = panels
-        for name in ("EKF", "RHE"):
-            _many_errors(many, share, name, by_name[name])
-        many.axhline(paper.TOLERANCE_M, **parts.BOUND, label=f"{paper.TOLERANCE_M} m")
-        many.set_title(f"{names.noise_text(noise)}:\n{_means(table, by_name['RHE'][0])}")
-        _time_axis(panels, by_name["RHE"][0].log)
-        share.set_xlabel("time [s]  (shaded: curves)")
-    rows[0, 0].set(ylabel="error [m],\nlogarithmic", yscale="log", ylim=(0.01, 10))
-    rows[0, 0].minorticks_off()
-    ticks = [0.01, 0.03, 0.1, 0.3, 1, 3, 10]
-    rows[0, 0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    rows[1, 0].set(ylabel=f"above {paper.TOLERANCE_M} m\n[% of samples]", ylim=(0, 100))
-    first = next(iter(drives.values()))["RHE"]
-    n = table.loc[table["turns"] == first[0].scenario.turns, "n"].max()
-    words = f"{_where(first[0])}: curves of {_fields(first)}, in the titles means over {n} fields"
-    figure.suptitle(f"{words[0].upper()}{words[1:]}", fontsize=8)
-    parts.legend_outside(figure, rows[0, 0], "lower center", 5)
-    return figure
 
 
 def _one_error(axes, name, run):
@@ -387,33 +353,13 @@ def _beyond(axes, runs):
     """Tell the largest error of each drive that leaves the axis once its start is over."""
     place = 0.97
     for name, run in runs.items():
-        largest_m = run.log["error_m"][run.log["t_s"] > _START_S].max()
+        largest_m = run.log["error_m"][run.log["t_s"] >= SETTLED_S].max()
         if largest_m > _MOST_ERROR_M:
             colour = colour_of(run.scenario.estimator)
             look = dict(xycoords="axes fraction", color=colour, ha="right", va="top")
             look |= dict(bbox=dict(facecolor="w", edgecolor="none", pad=1.0))
             parts.note(axes, f"{name}: up to {largest_m:.1f} m", (0.98, place), **look)
             place -= 0.17
-
-
-def _many_errors(axes, share, name, drives):
-    """Draw median and 95th percentile of the drives' errors, and the share above 0.12 m."""
-    look = dict(color=colour_of(drives[0].scenario.estimator))
-    log = drives[0].log
-    t_s = log["t_s"][: len(log) // _POOLED * _POOLED : _POOLED]
-    _, median, p95 = over_fields(drives, "error_m", _POOLED)
-    axes.plot(t_s, median, linewidth=1.2, label=f"{name}, median", **look)
-    axes.plot(t_s, p95, linewidth=0.5, label=f"{name}, 95th percentile", **look)
-    beyond = share_of_fields(drives, "error_m", paper.TOLERANCE_M, _POOLED)
-    share.plot(t_s, 100 * beyond, **look)
-
-
-def _means(table, run):
-    """The mean errors of RHE and EKF by raw GNSS with the turns and W of a run, for a title."""
-    means = table[table["quantity"] == "mean error, raw GNSS [m]"]
-    means = means[means["turns"] == run.scenario.turns]
-    means = means.set_index(["process_noise", "estimator"]).loc[run.scenario.process_noise]
-    return "\n".join(f"{name} {means.loc[name, 'mean']:.4f} m" for name in ("RHE", "EKF"))
 
 
 @styled
@@ -448,8 +394,9 @@ def violations(table, turns="alternate", world="default"):
         parts.note(axes, text, (1, place), (8, 0), **place_of)
     labels = [f"{names.noise_text(noise)}: {name}" for noise, name in shares.index]
     words = f"drives without a violation [%]: share of {shares['n'].max()} fields, 95 % interval"
-    parts.rows_axis(axes, labels, words)
-    axes.set_xlim(0, 100)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(ylim=(len(labels) - 0.5, -0.5), xlim=(0, 100), xlabel=words)
+    axes.grid(axis="y", visible=False)
     where = f"{world} world, {names.turns_text(turns)}"
     axes.set_title(f"{where[0].upper()}{where[1:]}; at the right violations in a drive, mean")
     handles, labels = axes.get_legend_handles_labels()
@@ -488,15 +435,15 @@ def estimates(drives):
     limits = ((-0.3, 0.3), (least, 1 + (1 - least) / 5), (-0.06, 1.1))
     for axes, label, limit in zip(rows[:, 0], (*labels, r"$\kappa$ [-]"), limits):
         axes.set(ylabel=label, ylim=limit)
-    parts.legend_outside(figure, rows[1, 0], "lower center", 4)
+    parts.legend_outside(figure, rows[1, 0], "lower center")
     return figure
 
 
 def _excerpt(log):
     """A time span [s] about the end of the first curve: κ shows in the curve, not on the row."""
-    curve = log["t_s"][~log["on_straight"] & (log["t_s"] > _START_S)]
-    ends = curve[curve.diff().shift(-1) > 1]
-    end_s = ends.iloc[0] if len(ends) else curve.max() if len(curve) else log["t_s"].max()
+    curves = log["t_s"][~log["on_straight"]]
+    is_last = curves.diff().shift(-1, fill_value=np.inf) > 1  # of its curve
+    end_s = min(curves[is_last], default=log["t_s"].max())
     return end_s - _EXCERPT_S / 2, end_s + _EXCERPT_S / 2
 
 
@@ -555,7 +502,7 @@ def _least_mu(drives):
 
 def _many_estimates(panels, runs, least_mu):
     """Draw how frequent yaw errors and values of μ and κ are in all drives."""
-    settled = runs[0].columns["t_s"] > _START_S
+    settled = runs[0].columns["t_s"] >= SETTLED_S
     logs = [run.columns for run in runs]
     error = [log["theta_hat_rad"] - log["theta_rad"] for log in logs]
     for axes, estimate, truth, limits in [
@@ -579,7 +526,7 @@ def speed(drives):
     panels = dict(figsize=(DOUBLE_IN, 2.4), sharey=True, width_ratios=(5, 1))
     figure, (axes, beside) = plt.subplots(1, 2, **panels)
     log = drives[0].log
-    settled = drives[0].columns["t_s"] > _START_S
+    settled = drives[0].columns["t_s"] >= SETTLED_S
     limits = log["nu_meas_mps"].agg(["min", "max"])
     deviations = []
     for column, name, label, width in _SPEEDS:
@@ -593,7 +540,7 @@ def speed(drives):
     _time_axis([axes], log)
     words = f"standard deviations [m/s]: {', '.join(deviations)}"
     figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
-    parts.legend_outside(figure, axes, "lower center", 4)
+    parts.legend_outside(figure, axes, "lower center")
     return figure
 
 
@@ -607,7 +554,7 @@ def yaw_rate(run):
     axes.step(t_s, commanded, where="post", label="reference (RHC)", **look)
     bound = run.scenario.omega_max_radps
     axes.hlines([-bound, bound], *t_s.iloc[[0, -1]], label="bounds", **parts.BOUND)
-    parts.legend_outside(figure, axes, "lower center", 3)
+    parts.legend_outside(figure, axes, "lower center")
     # A command is held until the next sample, so it belongs to the yaw rate one row later.
     rms = np.sqrt(np.mean((actual.to_numpy()[1:] - commanded.to_numpy()[:-1]) ** 2))
     title = f"{_title(run)}: actual − reference, RMS {rms:.3f} rad/s"

@@ -1,8 +1,9 @@
 """The paper's Figure 5: the order and the times of the phases."""
 
 import matplotlib.pyplot as plt
+from matplotlib.ticker import LogLocator
 
-from notebooks.plots.parts import BOUND, log_axis, note
+from notebooks.plots.parts import BOUND, note
 from rhec import paper
 from rhec.style import (
     BLACK,
@@ -90,7 +91,10 @@ def phases(times, machine):
     names = [" ".join(which) for which in _COLOURS]
     axes.set_yticks(range(len(names) + 1), [*names, "measurement to command"])
     axes.set(ylim=(len(names) + 0.8, -0.5))
-    log_axis(axes.xaxis)
+    axes.set(xscale="log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.minorticks_off()
     axes.set_xlabel("time [µs], logarithmic; marker: average, line: minimum to maximum")
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=1)

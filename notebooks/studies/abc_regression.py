@@ -25,6 +25,7 @@ which is at most 1/α (the balance heuristic; Owen and Zhou 2000, JASA 95, 135-1
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 from scipy.special import expit, logit, ndtr, ndtri
 
@@ -183,7 +184,23 @@ def ranks(simulations, truths, keep, draws, rng):
     return np.array(all_ranks)
 
 
-def coverage(ranks, draws, shares):
-    """Share of truths within the middle `share` of their posterior's draws: (shares, d)."""
+def calibration(ranks, draws, names):
+    """Whether ranks are uniform, as those of right posteriors are: a DataFrame, a row an unknown.
+
+    It has the shares of truths within the middle 50 % and 90 % of their posterior's draws, and p,
+    the probability that the largest distance to the uniform distribution is as large by chance for
+    one of all unknowns (Kolmogorov and Smirnov, with Bonferroni's correction).
+
+    Args:
+        ranks: Of `ranks`.
+        draws: How many draws each rank is among.
+        names: Of the unknowns.
+    """
+    n, unknowns = ranks.shape
     middle = np.abs((ranks + 0.5) / (draws + 1) - 0.5)
-    return np.array([np.mean(middle <= share / 2, axis=0) for share in shares])
+    levels = np.arange(draws + 1)
+    below = np.mean(ranks[:, :, None] <= levels, axis=0)
+    off = np.abs(below - (levels + 1) / (draws + 1)).max(axis=1)
+    columns = {f"middle {share:.0%}": np.mean(middle <= share / 2, axis=0) for share in (0.5, 0.9)}
+    columns["p"] = np.minimum(unknowns * stats.kstwo.sf(off, n), 1)
+    return pd.DataFrame(columns, names)

@@ -128,9 +128,9 @@ def deviance(estimator, sigma_w, runs, **fields):
     return sum(of_run["deviance"].sum() for of_run in every)
 
 
-def tracking_error_m(seeds=_TRACKING_SEEDS, **fields):
-    """Mean true error [m] over these seeds of a Scenario with these fields."""
-    scenarios = [Scenario(seed=seed, **fields) for seed in seeds]
+def tracking_error_m(**fields):
+    """Mean true error [m] over training seeds of a Scenario with these fields."""
+    scenarios = [Scenario(seed=seed, **fields) for seed in _TRACKING_SEEDS]
     # One structure is driven hundreds of times, which pays for compiling its lanes.
     lanes.load(build_sample, *set_up(scenarios[0]).structure)
     return campaign(scenarios, workers=1)["mean_error_true_m"].fillna(np.inf).mean()
@@ -165,26 +165,10 @@ RULES = {
 SEEDS = dict.fromkeys(RULES, TRAINING_SEEDS) | dict(tracking=_TRACKING_SEEDS)
 
 
-def calibrate(estimator, rule="prediction"):
-    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, as of `tune`."""
-    found = tune(ESTIMATORS[estimator], rule, _known(estimator, rule))
-    return dict(estimator=estimator, process_noise=rule) | found
-
-
-def tune(tuned, rule="prediction", known=None, **world):
-    """The noise of any estimator by a rule.
-
-    Args:
-        tuned: A Tuned.
-        rule: A name in RULES.
-        known: A good (*sigma_v, *sigma_w), if there is one, from which the search begins, too.
-        world: Fields of Scenario other than the default world's, for the rule "prediction".
-
-    Returns:
-        {"sigma_w", "sigma_v": tuples, "objective": that of these, "evaluations": their number,
-        "seeds": those of the training}.
-    """
-    objective = RULES[rule](tuned.fields, **world)
+def calibrate(estimator, rule):
+    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, whose sigmas are tuples."""
+    tuned = ESTIMATORS[estimator]
+    objective = RULES[rule](tuned.fields)
     unused = {*range(_N_V)} - {place for places in tuned.unknowns for place in places}
 
     def noise_of(sigma):
@@ -201,10 +185,12 @@ def tune(tuned, rule="prediction", known=None, **world):
         tried.append((value if np.isfinite(value) else _DIVERGED, sigma))
         return tried[-1][0]
 
-    search(evaluate, tuned.unknowns, known)
+    search(evaluate, tuned.unknowns, _known(estimator, rule))
     least, best = min(tried)
     seeds = f"{SEEDS[rule][0]}-{SEEDS[rule][-1]}"
-    return noise_of(best) | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
+    about = dict(estimator=estimator, process_noise=rule)
+    counts = dict(objective=float(least), evaluations=len(tried), seeds=seeds)
+    return about | noise_of(best) | counts
 
 
 def _known(estimator, rule):
@@ -301,7 +287,7 @@ def readable_noises():
     return pd.DataFrame(rows, columns=columns)
 
 
-def make_table(names, rules, file_of=file_of):
+def make_table(names, rules):
     """Tune these estimators by these of their rules, and write each row as it is found."""
     wanted = [
         (name, rule)

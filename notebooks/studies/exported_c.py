@@ -23,25 +23,19 @@ def sizes(export):
     """
     export = Path(export)
     header = (export / "rhec_memory.h").read_text()
-    memory_bytes = int(re.search(r"RHEC_MEMORY_BYTES (\d+)", header)[1])
+    log = export / "log.csv"
+    expected = pd.read_csv(log).drop(columns=MEASUREMENTS)
     rows = []
     # The two are one where this machine is a 64-bit Arm.
     for machine in dict.fromkeys(filter(None, (toolchain.this_machine(), toolchain.arm()))):
         with tempfile.TemporaryDirectory() as folder:
             objects = toolchain.library(machine, export, folder)
             replay = toolchain.program(machine, export, "replay", objects)
-            rows.append(_size(machine, export, objects, replay, memory_bytes))
+            answers = toolchain.replay(machine, replay, log)[expected.columns]
+            row = dict(
+                machine=machine.name,
+                largest_difference=np.abs(answers - expected).to_numpy().max(),
+                memory_bytes=int(re.search(r"RHEC_MEMORY_BYTES (\d+)", header)[1]),
+            )
+            rows.append(row | toolchain.sizes(machine, objects))
     return pd.DataFrame(rows)
-
-
-def _size(machine, export, objects, replay, memory_bytes):
-    """A machine's row of sizes, with the largest difference between the answers of C and Python."""
-    log = export / "log.csv"
-    expected = pd.read_csv(log).drop(columns=MEASUREMENTS)
-    answers = toolchain.replay(machine, replay, log)[expected.columns]
-    row = dict(
-        machine=machine.name,
-        largest_difference=np.abs(answers - expected).to_numpy().max(),
-        memory_bytes=memory_bytes,
-    )
-    return row | toolchain.sizes(machine, objects)

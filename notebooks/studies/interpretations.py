@@ -7,7 +7,6 @@ obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x²,
 """
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,7 @@ from scipy import linalg
 import rhec
 from notebooks.claims import run_sets
 from notebooks.studies import statistics
-from notebooks.studies.tables import interval_texts, signed
+from notebooks.studies.tables import interval_text, interval_texts, signed
 from rhec import paper
 from rhec.simulation import offline
 from rhec.simulation.metrics import rms
@@ -24,37 +23,23 @@ from rhec.simulation.scenario import Scenario
 from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
-# Where W holds the standard deviation of each state; x and y share one.
-_PLACES = {"x": (0, 1), "theta": (2,), "nu": (3,), "mu": (4,), "kappa": (5,)}
+# Where an estimator's W has a standard deviation that the rules pick differently: of the position,
+# and of κ.
+_SWEPT = {"ekf": (0, 1), "rhe": (5,)}
+_VALUES = 4  # of it that are driven, from that as printed to that by prediction
 _KAPPA = 0.8  # of a soil on which the tracks slip
 _MU = 0.9
-
-
-class _Entry(NamedTuple):
-    """A standard deviation of an estimator's W that the rules pick differently."""
-
-    estimator: str
-    state: str  # of _PLACES
-
-    @property
-    def values(self):
-        """{"printed": σ, "prediction": σ}."""
-        place = _PLACES[self.state][0]
-        noises = ("printed", "prediction")
-        return {name: tuning.NOISES[self.estimator][name].sigma_w[place] for name in noises}
-
-
-ENTRIES = {"ekf_x": _Entry("ekf", "x"), "rhe_kappa": _Entry("rhe", "kappa")}
-# Values that are driven between σ as printed and by prediction, and those whose runs are shown over
-# time.
-_BETWEEN = {"ekf_x": (1.0, 0.1, 0.03), "rhe_kappa": (0.025, 0.0025)}
-_SHOWN = {"ekf_x": slice(0, 3), "rhe_kappa": slice(0, 3, 2)}
+_RMS = {
+    "rms_yaw_rad": "RMS error of yaw, simulated [rad]",
+    "rms_kappa_straights": "RMS error of κ, straights",
+    "rms_kappa_curves": "RMS error of κ, curves",
+}
 
 
 # Analysis
 
 
-def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2]):
+def ekf_on_a_straight(sigma_x_m):
     """The steady EKF of (y, θ) on a straight, for each process noise of the position.
 
     With A = [1, T v; 0, 1] at the pace v = μν, H = [1, 0], W = diag(σ_x², σ_θ²) and V = σ_GNSS²,
@@ -64,7 +49,6 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2]):
 
     Args:
         sigma_x_m: Standard deviations of the position in W [m].
-        sigma_theta_rad: That of the yaw [rad].
 
     Returns:
         DataFrame with columns sigma_x_m, gain_position [-], gain_yaw_radpm, sigma_yaw_rad, time_s.
@@ -74,7 +58,7 @@ def ekf_on_a_straight(sigma_x_m, sigma_theta_rad=paper.SIGMA_W_EKF[2]):
     V = np.array([[paper.SIGMA_V[0] ** 2]])
     rows = []
     for sigma_x in sigma_x_m:
-        W = np.diag([sigma_x**2, sigma_theta_rad**2])
+        W = np.diag([sigma_x**2, paper.SIGMA_W_EKF[2] ** 2])
         # SciPy's equation is that of control, which is dual: A' for A and H' for B.
         predicted = linalg.solve_discrete_are(A.T, H.T, W, V)
         K = predicted @ H.T / (H @ predicted @ H.T + V)
@@ -98,17 +82,17 @@ def _circle(omega_radps, samples):
     return np.column_stack([x, y, np.full(samples, nu), np.full(samples, omega_radps)])
 
 
-def rhe_sigma_kappa(sigma_kappa, omega_radps, process_noise, samples=300):
+def rhe_sigma_kappa(sigma_kappa, omega_radps, samples=300):
     """The RHE's own standard deviation of κ after perfect measurements, bounds left aside.
 
-    There is one for each process noise sigma_kappa of a sample; process_noise has the rest of W.
+    There is one for each process noise sigma_kappa of a sample; the rest of W is as printed.
     The robot drives a circle with the yaw rate omega_radps, or a straight where that is 0.
     """
     z = _circle(omega_radps, samples)
     guess = (0.0, 0.0, 0.0, paper.SPEED_MPS, _MU, _KAPPA)
     deviations = []
     for sigma in sigma_kappa:
-        sigma_w = (*tuning.NOISES["rhe"][process_noise].sigma_w[:5], float(sigma))
+        sigma_w = (*paper.SIGMA_W_RHE[:5], float(sigma))
         estimator = rhec.RHE(sigma_w=sigma_w, guess=guess)
         for measurement in z:
             estimator.prepare()
@@ -123,7 +107,7 @@ def sigma_kappa_table(sigma_kappa):
     """
     omega_radps = _MU * paper.SPEED_MPS / paper.HEADLAND_RADIUS_M / _KAPPA
     columns = {
-        name: rhe_sigma_kappa(sigma_kappa, omega, "printed")
+        name: rhe_sigma_kappa(sigma_kappa, omega)
         for name, omega in (("straight", 0.0), ("curve", omega_radps))
     }
     return pd.DataFrame(dict(sigma_kappa=sigma_kappa) | columns)
@@ -132,29 +116,36 @@ def sigma_kappa_table(sigma_kappa):
 # Sweeps of W
 
 
-def _with_entry(sigma_w, state, value):
-    """W with the standard deviation of this state replaced."""
-    return tuple(value if k in _PLACES[state] else sigma for k, sigma in enumerate(sigma_w))
+def swept(estimator, seeds):
+    """Drives with the printed W, in which one standard deviation moves to that by prediction.
 
+    It is that of the position in the EKF's W, and that of κ in the RHE's.
 
-def swept(estimator, process_noise, state, values, seeds):
-    """Runs on fields from seed 0 on, with the standard deviation of a state in W replaced.
+    Args:
+        estimator: "ekf" or "rhe".
+        seeds: How many fields, from seed 0 on.
 
     Returns:
-        runs: {value: Run} of the first seed.
+        runs: {standard deviation: Run} of the first seed, of the two that the rules pick.
         table: DataFrame, one row a run: sigma, seed, and RMS errors from
             `offline.SETTLED_S` on: rms_yaw_rad, rms_kappa_straights, rms_kappa_curves.
     """
+    places = _SWEPT[estimator]
+    printed, prediction = (
+        tuning.NOISES[estimator][rule].sigma_w for rule in ("printed", "prediction")
+    )
+    values = np.geomspace(printed[places[0]], prediction[places[0]], _VALUES).tolist()
     cases = [*itertools.product(values, range(seeds))]
     scenarios = []
     for value, seed in cases:
-        sigma_w = _with_entry(tuning.NOISES[estimator][process_noise].sigma_w, state, float(value))
-        choice = dict(estimator=estimator, process_noise=process_noise, sigma_w=sigma_w)
+        sigma_w = tuple(value if k in places else sigma for k, sigma in enumerate(printed))
+        choice = dict(estimator=estimator, process_noise="printed", sigma_w=sigma_w)
         scenarios.append(Scenario(seed=seed, **choice))
     runs = {}
     rows = []
     for (value, seed), run in zip(cases, simulate(scenarios)):
-        runs.setdefault(value, run)  # the first seed's, for pictures
+        if seed == 0 and value in (values[0], values[-1]):
+            runs[value] = run
         c = run.columns
         settled = c["t_s"] >= offline.SETTLED_S
         straight = c["on_straight"]
@@ -166,15 +157,23 @@ def swept(estimator, process_noise, state, values, seeds):
     return runs, pd.DataFrame(rows)
 
 
-def sweep_of(name, seeds):
-    """As `swept`, with one of ENTRIES of the printed W moved from its value to that by prediction.
+def readable_sweep(analysis, table, *columns):
+    """The analysis of each standard deviation of a sweep, and means of its RMS errors as texts.
 
-    The first result has the runs for pictures alone.
+    Args:
+        analysis: DataFrame, one row a standard deviation, which its first column has.
+        table: Of `swept`.
+        columns: The RMS errors to show.
     """
-    entry = ENTRIES[name]
-    values = (entry.values["printed"], *_BETWEEN[name], entry.values["prediction"])
-    runs, table = swept(entry.estimator, "printed", entry.state, values, seeds)
-    return {value: runs[value] for value in values[_SHOWN[name]]}, table
+    sigmas = analysis.iloc[:, 0]
+    shown = analysis.set_index(sigmas.map("{:.3g}".format)).drop(columns=sigmas.name).round(4)
+    by_sigma = table.groupby("sigma")
+    for column in columns:
+        shown[_RMS[column]] = [
+            interval_text(*statistics.over_seeds(np.mean, of[column], least=0.0)[:3])
+            for of in (by_sigma.get_group(sigma) for sigma in sigmas)
+        ]
+    return shown
 
 
 # One interpretation at a time

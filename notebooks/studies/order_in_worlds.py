@@ -19,6 +19,7 @@ import pandas as pd
 
 from notebooks.studies import which_worlds
 from notebooks.studies.parallel import parallel_map
+from notebooks.studies.tables import interval_texts
 from notebooks.studies.which_worlds import DATA, UNUSED_SEED, Variant
 from rhec import paper
 from rhec.simulation.offline import deviances
@@ -231,6 +232,17 @@ def rule_rows(drives, effective):
                 }
             )
     return pd.DataFrame(rows).round(5)
+
+
+def readable_rules(table):
+    """In which share of worlds the RHE is the better, and EKF / RHE in the median, as texts.
+
+    A row is a rule, a column a path; the share has its 95 % interval, the ratio its middle 90 %.
+    """
+    shares = interval_texts(table, "RHE better")
+    ratios = interval_texts(table, "EKF / RHE", "EKF / RHE p5", "EKF / RHE p95")
+    cells = table.assign(cell=shares + "; " + ratios)
+    return cells.pivot_table("cell", "rule for W", "turns", aggfunc="first", sort=False)
 
 
 def order_drives():

@@ -79,13 +79,13 @@ def yaw_weights(look_ahead_m=0.5):
     }
 
 
-def scenario_a(seeds, seed=0, weights=None, folder=None, **fields):
+def scenario_a(seeds, seed, weights, folder=None, **fields):
     """Drive Scenario A: off the path at the start, with each yaw weight.
 
     Args:
         seeds: How many fields the statistics are over, from seed 0 on.
         seed: Field of the single runs.
-        weights: {name: fields of Scenario}; `yaw_weights()` by default.
+        weights: {name: fields of Scenario}, as of `yaw_weights`.
         folder: Where the campaign keeps its rows.
         fields: Other fields of Scenario, the same for all drives.
 
@@ -93,7 +93,6 @@ def scenario_a(seeds, seed=0, weights=None, folder=None, **fields):
         sweep: DataFrame, one row a drive (`rhec.campaign`), with the column `weight`.
         runs: {weight: Run} of the one seed.
     """
-    weights = yaw_weights() if weights is None else weights
     scenarios = [
         Scenario(seed=number, **fields, **choice)
         for choice in weights.values()
@@ -109,7 +108,7 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
 
     Args:
         seeds: How many fields the statistics are over, from seed 0 on.
-        drives: How many fields to return whole runs of, from seed 0 on.
+        drives: How many fields to return whole runs of the RHE of, from seed 0 on.
         beside: How many fields the other patterns of turns are driven on, from seed 0 on.
         turns: Which way the path turns (G18).
         folder: Where the campaign keeps its rows.
@@ -118,7 +117,7 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
     Returns:
         sweep: DataFrame, one row a drive (`rhec.campaign`), with the column `turns`, the pattern
             that was asked for first.
-        runs: {process noise: {"RHE" or "EKF": Runs, one a seed}}.
+        runs: {process noise: Runs of the RHE, one a seed}.
     """
 
     def scenario(pattern, estimator, number, process_noise):
@@ -136,12 +135,9 @@ def scenario_b(seeds, drives, beside=0, turns=TURNS[0], folder=None, **fields):
     ]
     sweep = campaign(every, folder).assign(turns=[each.turns for each in every])
     runs = {
-        process_noise: {
-            label_of(estimator): simulate(
-                [scenario(turns, estimator, number, process_noise) for number in range(drives)]
-            )
-            for estimator in _ESTIMATORS
-        }
+        process_noise: simulate(
+            [scenario(turns, "rhe", number, process_noise) for number in range(drives)]
+        )
         for process_noise in PROCESS_NOISES
     }
     return sweep, runs
@@ -162,25 +158,9 @@ def on_soft_soil(fields, **others):
 # What many drives have in common
 
 
-def over_fields(drives, column, pooled=1):
-    """The 5th, 50th and 95th percentile of a column of the log over Runs of one length.
-
-    With `pooled` samples in a row as one, the result is (3, samples / pooled).
-    """
-    return np.nanpercentile(_pooled(drives, column, pooled), (5, 50, 95), axis=(0, 2))
-
-
-def share_of_fields(drives, column, above, pooled=1):
-    """Share of the samples, pooled as in `over_fields`, in which a column is above a bound."""
-    return np.mean(_pooled(drives, column, pooled) > above, axis=(0, 2))
-
-
-def _pooled(drives, column, pooled):
-    """A column of all Runs, (Runs, samples / pooled, pooled); an incomplete pool is left out."""
-    values = np.array([run.columns[column] for run in drives])
-    # Pooling smooths percentiles over few drives.
-    whole = values.shape[1] // pooled * pooled
-    return values[:, :whole].reshape(len(drives), -1, pooled)
+def over_fields(drives, column):
+    """The 5th, 50th and 95th percentile of a column of the log over Runs of one length."""
+    return np.nanpercentile([run.columns[column] for run in drives], (5, 50, 95), axis=0)
 
 
 # Tables
@@ -216,7 +196,7 @@ def scenario_a_table(sweep):
     Returns:
         DataFrame with columns weight, quantity, mean, low, high, n, p5, p95, claim, verdict.
     """
-    runs = dict(list(sweep.groupby("weight", sort=False)))
+    runs = dict(list(sweep.groupby("weight")))
     rows = [
         dict(weight=weight, quantity=quantity) | _mean_and_range(of_weight[column])
         for column, quantity in _QUANTITIES_A.items()

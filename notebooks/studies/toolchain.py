@@ -92,7 +92,7 @@ def replay(machine, program, log):
     return pd.read_csv(io.StringIO(run(machine, program, log).stdout))
 
 
-def nonsense(machine, program, samples=20_000, seed=0):
+def nonsense(machine, program, samples, seed):
     """Run `fuzz`, which feeds an export with invalid measurements; a table of one row.
 
     It counts samples, storms of invalid measurements, still_lost (storms after which the estimate

@@ -615,7 +615,7 @@ PRIORS_ON_PRINTED = (0.5, 0.8, 0.95)
 KEPT = (250, 500, 1000, 2000, 4200)  # simulations, in `by_kept`
 
 
-def sensitivity(drives, design, n=2000, seed=0):
+def sensitivity(drives, design, n, seed):
     """What the posterior says of W and of the world, by how 17 is counted and by the prior on W.
 
     Args:
@@ -633,7 +633,7 @@ def sensitivity(drives, design, n=2000, seed=0):
     return pd.DataFrame(rows).T.rename_axis(["17 are", "prior on the printed W"])
 
 
-def by_kept(table, n=2000, seed=0):
+def by_kept(table, n, seed):
     """What the posterior says of W and of the world, by how many of the simulations are kept.
 
     Args:
@@ -885,10 +885,11 @@ def statistics_with_own_w(drives, worlds):
     return np.concatenate(parts)
 
 
-def truths(table, n, rng, near=None):
+def truths(table, n, rng, near):
     """At most n rows of `simulations` to check the method on, each of another world.
 
-    They are chosen as the prior has them, of all, or of those of the `abc_regression.Draws` near.
+    They are chosen as the prior has them, of all (near None), or of those of the
+    `abc_regression.Draws` near.
     """
     rows = np.arange(len(table.world)) if near is None else near.rows
     # Exponential races: the first n are a draw without replacement by the prior's weights.
@@ -943,10 +944,9 @@ def main():
     design = both_rounds(first)
     second = drive_round(design.unit[FIRST_ROUND:], FIRST_ROUND, folder)
     write(pd.concat([first, second]).astype(np.float16), PRIOR_DRIVES)
-    _, fields, draws = posterior_draws(simulations(prior_drives(), design))
+    _, fields, _ = posterior_draws(simulations(prior_drives(), design))
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")
     write(drive_posterior(), POSTERIOR_DRIVES)
-    print(f"{draws.effective_worlds:.0f} effective worlds; centre: {centre()}")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from in_c import InC
 from loops import live_step, own_estimator
 
 import rhec
-from notebooks.studies import toolchain
+from notebooks.studies import exported_c, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core.estimator.innovation_gate import patience
@@ -356,7 +356,7 @@ def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path)
         sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
         command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
         subprocess.run([*command, "-o", tmp_path / "fuzz"], cwd=tmp_path, check=True)
-        return toolchain.nonsense(machine, tmp_path / "fuzz", 1500).iloc[0]
+        return toolchain.nonsense(machine, tmp_path / "fuzz", 1500, 0).iloc[0]
 
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
         fuzzed(commanded, "*omega = 1.001 * r->omega[0];")
@@ -364,6 +364,23 @@ def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path)
         fuzzed(estimated, f"{estimated} estimate[5] *= 1e308 * 10;")
     off = fuzzed(estimated, f"{estimated} estimate[0] += 1.0;")
     assert off["still_lost"] == off["storms"] >= off["unnoticed"] > 0.5 * off["storms"]
+
+
+def test_an_export_is_as_far_from_python_as_its_log_says(exported, built, tmp_path, monkeypatch):
+    """Also from a log of which one answer is 0.5 m off."""
+    machine, objects = built("EKF")
+    monkeypatch.setattr(toolchain, "arm", lambda: None)
+    monkeypatch.setattr(toolchain, "library", lambda *_: objects)
+    other = shutil.copytree(exported("EKF"), tmp_path / "other")
+    log = log_of(other)
+    log.loc[7, log.columns.difference(MEASUREMENTS)[0]] -= 0.5
+    log.to_csv(other / "log.csv", index=False)
+    for export, off in ((exported("EKF"), 0.0), (other, 0.5)):
+        (row,) = exported_c.sizes(export).to_dict("records")
+        assert row["machine"] == machine.name
+        assert row["largest_difference"] == pytest.approx(off, abs=1e-6)
+        assert f"RHEC_MEMORY_BYTES {row['memory_bytes']}" in (export / "rhec_memory.h").read_text()
+        assert row | toolchain.sizes(machine, objects) == row
 
 
 @needs_compiler

@@ -8,15 +8,11 @@ import functools
 
 import numpy as np
 import pytest
-from helpers import recorded_log
+from helpers import BY_M, in_a_mirror, later, moved, recorded_log, turned
 from invariances import Change, difference
 
 import rhec
 from rhec.simulation.columns import ESTIMATE, SIGMA
-
-BY_M = 512.0, -2048.0  # whole powers of two, so that positions keep their digits
-LATER_S = 4096.0
-TURNED = "y_m", "yaw_rate_radps", "yaw_true_rad", "y_true_m", "yaw_rate_true_radps", "gyro_radps"
 
 
 def log_with_a_gyro():
@@ -26,31 +22,6 @@ def log_with_a_gyro():
 
 
 LOG = log_with_a_gyro()
-
-
-def in_a_mirror(log):
-    """The log in a mirror along the x axis: left is right, tracks included."""
-    turned = {name: -log[name] for name in TURNED}
-    tracks = dict(v_left_mps=log["v_right_mps"], v_right_mps=log["v_left_mps"])
-    return log.assign(**turned, **tracks)
-
-
-def moved(log):
-    return log.assign(
-        **{name: log[name] + BY_M[0] for name in ("x_m", "x_true_m")},
-        **{name: log[name] + BY_M[1] for name in ("y_m", "y_true_m")},
-    )
-
-
-def turned(log):
-    """The log turned to the left by a right angle: x becomes y, and y becomes -x."""
-    return log.assign(
-        x_m=-log["y_m"],
-        y_m=log["x_m"],
-        x_true_m=-log["y_true_m"],
-        y_true_m=log["x_true_m"],
-        yaw_true_rad=log["yaw_true_rad"] + np.pi / 2,
-    )
 
 
 def told(log):
@@ -117,7 +88,7 @@ CHANGES = {
     "turned": Change(turned, turned_back),
     "rows twice": Change(lambda log: log.loc[log.index.repeat(2)], rows_once),
     "moved": Change(moved, moved_back),
-    "later": Change(lambda log: log.assign(t_s=log["t_s"] + LATER_S), dict),
+    "later": Change(later, dict),
     "columns in another order": Change(lambda log: log[log.columns[::-1]], dict),
 }
 

@@ -413,6 +413,7 @@ def test_rows_out_of_time_change_nothing(estimates):
         lambda log: log.drop(index=log.index[1::3]),
         lambda log: log.assign(speed_mps=log["speed_mps"].where(log.index % 50 > 25)),
         lambda log: log.assign(speed_mps=np.where(log.index > 30, 0.0, np.inf)),
+        lambda log: log.iloc[np.arange(len(log)) ^ 1],  # each row before the one that was first
     ],
 )
 def test_estimates_are_finite_whatever_the_log_lacks(broken):
@@ -458,9 +459,6 @@ def test_regression_is_that_of_true_motion_on_measurements():
         recording.prepare(recorded_log(50.0)).rows, 0.2, averaged=False
     ).assign(segment=0)
     assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
-    sliding = scores.sliding_regression(samples)
-    np.testing.assert_allclose(np.nanmedian(sliding, axis=0), (MU, KAPPA), atol=1e-3)
-    assert np.isnan(sliding).any(axis=0).all()  # standing, or straight
 
 
 def test_scores_equal_the_errors_put_in(estimates):
@@ -494,24 +492,14 @@ def test_a_perturbed_replay_adds_the_noise_of_its_seed():
         scores.perturbed_replay(LOG.assign(yaw_rate_radps=-LOG["yaw_rate_radps"]), 1)
 
 
-def test_outliers_reach_the_measurements_and_hardly_the_estimates():
-    """Outliers for three seconds move them by less than 0.2 m."""
-    outliers = (rhec.Fault(kind="outliers", start_s=30.0, duration_s=3.0, size_m=5.0),)
-    clean, off = (scores.perturbed_replay(LOG, 0, faults=faults) for faults in ((), outliers))
-    hit = clean["t_s"].between(30.0, 32.9)
-    moved = off[["x_meas_m", "y_meas_m"]] - clean[["x_meas_m", "y_meas_m"]]
-    np.testing.assert_allclose(np.hypot(*moved.to_numpy().T), np.where(hit, 5.0, 0.0), atol=1e-9)
+def test_outliers_hardly_move_the_estimates():
+    """Positions that are 5 m off for three seconds move them by less than 0.2 m."""
+    hit = LOG["t_s"].between(30.0, 32.9)
+    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, len(LOG))
+    off = LOG.assign(
+        x_m=LOG["x_m"] + 5 * hit * np.cos(angle), y_m=LOG["y_m"] + 5 * hit * np.sin(angle)
+    )
+    clean, off = (scores.perturbed_replay(log, 0, trust_log=True) for log in (LOG, off))
     late = clean["t_s"] >= 30.0
     worst = [errors(samples[late])[0].max() for samples in (clean, off)]
     assert worst[1] < worst[0] + 0.2
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize(
-    "kind, channel",
-    [("dead", "left"), ("missing", "gnss"), ("infinite", "all"), ("disorder", "all")],
-)
-def test_estimates_stay_finite_while_a_sensor_fails(kind, channel):
-    fault = rhec.Fault(kind=kind, start_s=30.0, duration_s=5.0, channel=channel)
-    samples = scores.perturbed_replay(LOG, 0, faults=(fault,))
-    assert np.isfinite(samples[ESTIMATE]).all(axis=None) and scores.score(samples)["outside"] == 0

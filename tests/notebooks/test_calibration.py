@@ -194,7 +194,8 @@ def test_rows_are_made_again_one_by_one_and_others_stay(tmp_path, monkeypatch):
 
     monkeypatch.setattr(calibration, "ProcessPoolExecutor", lambda *_, **__: Here())
     monkeypatch.setattr(calibration, "calibrate", made)
-    calibration.make_table(["ekf"], ["prediction", "tracking"], lambda name: file)
+    monkeypatch.setattr(calibration, "file_of", lambda name: file)
+    calibration.make_table(["ekf"], ["prediction", "tracking"])
     after = calibration.read_rows(file)
     changed = {key for key in rows if after[key] != rows[key]}
     assert changed == {("ekf", "prediction"), ("ekf", "tracking")} and [*after] == [*rows]

@@ -2,7 +2,8 @@
 what it says.
 """
 
-from pathlib import Path
+import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -15,14 +16,12 @@ from notebooks.plots import interpretations as plots
 from notebooks.studies import interpretations
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
-from rhec.style import BLUE, GREY, VERMILLION
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
 SHORT = dict(row_length_m=10.0, duration_s=40.0)  # with a curve
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.nightly(keep=1)
@@ -35,17 +34,16 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
     step = build_step(choice)
     guess = dict(zip(QUANTITIES, (0, 0, 0, 0.45, 1, 1)))
     m = pack_array(estimator_of("ekf").init(choice, guess, dict.fromkeys(QUANTITIES, 1)))
-    sigma_theta = 0.1
     x = 0.0
     for _ in range(4000):
         result = step(
             memory=m,
             z_N=(x, 0, 0.45, 0),
             V=np.square(paper.SIGMA_V),
-            W=np.square([sigma_x_m, sigma_x_m, sigma_theta, 1e-6]),
+            W=np.square([sigma_x_m, sigma_x_m, 0.1, 1e-6]),
         )
         m, x = result["memory"], x + DT * 0.45
-    (row,) = interpretations.ekf_on_a_straight([sigma_x_m], sigma_theta).itertuples()
+    (row,) = interpretations.ekf_on_a_straight([sigma_x_m]).itertuples()
     assert np.sqrt(np.array(result["covariance"])[2, 2]) == pytest.approx(
         row.sigma_yaw_rad, rel=0.01
     )
@@ -54,15 +52,11 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
 def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
     """There its variance grows by σ_κ² a sample; in a curve it stays."""
     sigma = [0.1, 0.2]
-    straight = [
-        interpretations.rhe_sigma_kappa(sigma, 0.0, "printed", samples) for samples in (60, 120)
-    ]
+    straight = [interpretations.rhe_sigma_kappa(sigma, 0.0, samples) for samples in (60, 120)]
     np.testing.assert_allclose(
         (straight[1] ** 2 - straight[0] ** 2) / 60, np.square(sigma), rtol=1e-3
     )
-    curve = [
-        interpretations.rhe_sigma_kappa(sigma, 0.07, "printed", samples) for samples in (60, 120)
-    ]
+    curve = [interpretations.rhe_sigma_kappa(sigma, 0.07, samples) for samples in (60, 120)]
     assert np.all(
         curve[1] ** 2 - curve[0] ** 2 < 0.1 * (straight[1] ** 2 - straight[0] ** 2)
     ) and np.all(curve[1] < straight[1])
@@ -120,83 +114,63 @@ def test_a_rare_count_has_an_interval_from_zero_on_and_a_difference_has_not(monk
     assert (table["low"] <= 0).all() and (table["high"] > 1).all()
 
 
-def test_a_sweep_changes_one_number_of_w_and_is_drawn_as_it_was(virtual_machine, monkeypatch):
+@pytest.mark.parametrize(
+    "estimator, places, state", [("rhe", (5,), "kappa_hat"), ("ekf", (0, 1), "theta_hat_rad")]
+)
+def test_a_sweep_moves_one_number_of_w(estimator, places, state, virtual_machine, monkeypatch):
+    """From its value as printed to that by prediction; the ends are drawn as they were."""
     asked = []
     simulate = interpretations.simulate
-    monkeypatch.setattr(
-        interpretations,
-        "simulate",
-        lambda scenarios: (
-            asked.extend(scenarios)
-            or simulate([rhec.Scenario(**SHORT, sigma_w=one.sigma_w) for one in scenarios])
-        ),
+
+    def driven(scenarios):
+        asked.extend(scenarios)
+        short = rhec.Scenario(**SHORT, process_noise="prediction")
+        return simulate([dataclasses.replace(short, seed=each.seed) for each in scenarios])
+
+    monkeypatch.setattr(interpretations, "simulate", driven)
+    runs, sweep = interpretations.swept(estimator, 2)
+    printed, prediction = (
+        np.array(tuning.NOISES[estimator][rule].sigma_w) for rule in ("printed", "prediction")
     )
-    runs, sweep = interpretations.swept("rhe", "printed", "kappa", (0.25, 0.01), 1)
-    assert [scenario.sigma_w for scenario in asked] == [
-        (*tuning.NOISES["rhe"]["printed"].sigma_w[:5], value) for value in (0.25, 0.01)
-    ]
-    assert list(sweep["sigma"]) == [0.25, 0.01] == list(runs) and isinstance(sweep, pd.DataFrame)
-    straights = pd.DataFrame(dict(sigma_kappa=[0.25, 0.01], straight=1.0, curve=0.1))
-    figure = plots.rhe_kappa(straights, sweep, runs, printed=0.25, prediction=0.01)
-    *estimates, truth = (line.get_xydata() for line in figure.axes[2].lines)
-    for drawn, run in zip(estimates, runs.values(), strict=True):
-        np.testing.assert_array_equal(drawn, run.log[["t_s", "kappa_hat"]])
-    np.testing.assert_array_equal(truth, run.log[["t_s", "kappa"]])
-    analysis = interpretations.ekf_on_a_straight([0.01, 1.0])
-    figure = plots.ekf_yaw(analysis, sweep, runs, printed=0.25, prediction=0.01)
-    for line, run in zip(figure.axes[2].lines, reversed(runs.values()), strict=True):
-        error_rad = run.log["theta_hat_rad"] - run.log["theta_rad"]
-        np.testing.assert_allclose(line.get_ydata(), error_rad, atol=1e-12)
-
-
-def test_a_swept_value_is_drawn_with_its_means_and_the_two_that_the_rules_pick():
-    """Oracle: mean and Student's interval of three seeds."""
-    rng = np.random.default_rng(0)
-    columns = ("rms_yaw_rad", "rms_kappa_straights", "rms_kappa_curves")
-    sweep = pd.DataFrame([dict(sigma=sigma, seed=n) for sigma in (0.01, 0.25) for n in range(3)])
-    sweep = sweep.assign(**{name: rng.lognormal(size=6) for name in columns})
-    run = rhec.simulate(rhec.Scenario(duration_s=100.0))
-    given = dict(runs={0.25: run, 0.01: run}, printed=0.25, prediction=0.01)
-    analysis = interpretations.ekf_on_a_straight([0.01, 0.1, 1.0])
-    gains, yaw, _ = plots.ekf_yaw(analysis, sweep, **given).axes
-    sigmas = pd.DataFrame(dict(sigma_kappa=[0.01, 0.25], straight=[2.0, 3.0], curve=[0.1, 0.2]))
-    stated, simulated, time = plots.rhe_kappa(sigmas, sweep, **given).axes
-    curves = [
-        (gains, analysis[["gain_position", "gain_yaw_radpm"]], ()),
-        (yaw, analysis[["sigma_yaw_rad"]], ("rms_yaw_rad",)),
-        (stated, sigmas[["straight", "curve"]], ()),
-        (simulated, None, ("rms_kappa_straights", "rms_kappa_curves")),
-    ]
-    for axes, table, means in curves:
-        assert axes.get_xscale() == "log"
-        upright = [line for line in axes.lines if [*line.get_ydata()] == [0, 1]]
-        assert [line.get_xdata()[0] for line in upright] == [0.25, 0.01]
-        assert [line.get_label() for line in upright] == ["printed", "prediction"]
-        for line, name in zip(axes.lines, () if table is None else table):
-            np.testing.assert_array_equal(line.get_ydata(), table[name])
-        for bars, name in zip(axes.containers, means, strict=True):
-            of = sweep.groupby("sigma")[name]
-            np.testing.assert_allclose(bars.lines[0].get_ydata(), of.mean())
-            half = [np.ptp(segment[:, 1]) / 2 for segment in bars.lines[2][0].get_segments()]
-            np.testing.assert_allclose(half, 4.303 * of.std() / 3**0.5, rtol=1e-3)
-    levels = [line.get_ydata()[0] for axes in (stated, simulated) for line in axes.lines]
-    assert sum(level == pytest.approx(12**-0.5) for level in levels) == 2  # any κ in [0, 1]
-    begins_s = run.log["t_s"][~run.log["on_straight"]].min()
-    low_s, high_s = time.get_xlim()
-    assert low_s < begins_s < high_s and len(time.collections) == 1
-
-
-def test_each_reading_has_a_line_of_its_own_name_and_colour():
-    """Vermillion where the interval of the change is above 0, blue where it is below."""
-    table = pd.read_csv(ROOT / "data/results/audit_interpretations.csv")
-    figure = plots.forest(table, "printed")
-    panels = figure.axes[: len(plots.QUANTITIES)]
-    labels = [label.get_text() for label in panels[0].get_yticklabels()]
-    for axes, quantity in zip(panels, plots.QUANTITIES.values()):
-        rows = table[(table["quantity"] == quantity) & (table["interpretation"] != "baseline")]
-        assert labels == [f"{row.words}  {row.interpretation}" for row in rows.itertuples()]
-        colours = {line.get_ydata()[0]: line.get_color() for line in axes.lines[:-1]}
-        for place, row in enumerate(rows.itertuples()):
-            sign = (row.change_low > 0) - (row.change_high < 0)
-            assert colours[place] == {1: VERMILLION, 0: GREY, -1: BLUE}[sign]
+    moving = np.isin(np.arange(len(printed)), places)
+    values = list(sweep["sigma"].unique())
+    assert list(runs) == [values[0], values[-1]] == [*printed[moving][:1], *prediction[moving][:1]]
+    assert values == sorted(values, reverse=True)
+    for scenario, row in zip(asked, sweep.itertuples(), strict=True):
+        assert (scenario.seed, scenario.estimator) == (row.seed, estimator)
+        assert scenario.sigma_w == tuple(np.where(moving, row.sigma, printed).tolist())
+    log = runs[values[0]].log
+    late = log[log["t_s"] >= 20]
+    straight = late["on_straight"]
+    error = late["kappa_hat"] - late["kappa"]
+    of_first = sweep[sweep["seed"] == 0].iloc[0]
+    yaw = late["theta_hat_rad"] - late["theta_rad"]
+    expected = (yaw, error[straight], error[~straight])
+    for name, errors in zip(interpretations._RMS, expected):
+        assert of_first[name] == pytest.approx(np.sqrt((errors**2).mean()))
+    truth = state.replace("_hat", "")
+    figure = plots.errors_over_time(runs, state, truth, "error [-]", (10, 30))
+    (axes,) = figure.axes
+    for line, sigma in zip(axes.lines, runs, strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), log["t_s"])
+        np.testing.assert_allclose(line.get_ydata(), log[state] - log[truth], atol=1e-12)
+        assert line.get_label() == f"{sigma:g}"
+    assert axes.get_xlim() == (10, 30) and len(axes.collections) == 1
     assert text_defects(figure) == []
+
+
+def test_a_sweep_is_told_with_its_means_beside_the_analysis():
+    """Oracle: mean and Student's interval of three seeds."""
+    errors = np.random.default_rng(0).lognormal(size=6)
+    sweep = pd.DataFrame([dict(sigma=sigma, seed=n) for sigma in (1.0, 0.01) for n in range(3)])
+    sweep = sweep.assign(rms_yaw_rad=errors)
+    analysis = interpretations.ekf_on_a_straight([1.0, 0.01])
+    shown = interpretations.readable_sweep(analysis, sweep, "rms_yaw_rad")
+    *stated, simulated = shown.columns
+    np.testing.assert_allclose(shown[stated], analysis[stated], atol=5e-5)
+    assert [*shown.index] == ["1", "0.01"]
+    for text, of in zip(shown[simulated], (errors[:3], errors[3:])):
+        half = 4.303 * of.std(ddof=1) / 3**0.5
+        expected = of.mean(), max(of.mean() - half, 0), of.mean() + half
+        found = [float(number) for number in re.findall(r"[\d.]+", text)]
+        assert found == pytest.approx(expected, rel=6e-3)

@@ -69,17 +69,6 @@ def test_deviances_are_those_of_each_run_by_itself():
             assert value == pytest.approx(alone, rel=1e-9)
 
 
-def test_a_world_has_the_noise_that_was_fitted_in_it(worlds):
-    noises = pd.DataFrame(
-        [(1, "rhe", "1 1 2 3 4 5", "6 6 7 8"), (1, "ekf", "1 1 2 3", "6 6 7 8")],
-        columns=["world", "estimator", "sigma_w", "sigma_v"],
-    )
-    _, world = order_in_worlds.with_noises(worlds, noises)
-    scenario = which_worlds.scenario(world, order_in_worlds.VARIANTS["ekf_prediction"], 3)
-    assert scenario.sigma_w == (1, 1, 2, 3) and scenario.sigma_v == (6, 6, 7, 8)
-    assert "fitted_ekf" not in worlds[1]
-
-
 def test_each_world_is_fitted_on_drives_of_its_own(worlds, monkeypatch):
     driven = []
     monkeypatch.setattr(order_in_worlds, "simulate", driven.append)
@@ -105,11 +94,17 @@ def test_the_file_of_noises_holds_what_is_fitted(monkeypatch):
     assert found == (numbered[0], "ekf", *stored.loc[(numbered[0], "ekf")])
 
 
-def test_a_pattern_changes_the_path_alone(worlds):
-    other = order_in_worlds.on_pattern(worlds[0], "right")
-    changed = {name for name in other if other[name] != worlds[0].get(name)}
-    assert changed <= {"turns", "duration_s"} and other["turns"] == "right"
-    assert order_in_worlds.on_pattern(worlds[0], order_in_worlds.OWN) == worlds[0]
+def test_the_file_of_drives_holds_what_is_driven_by_each_rule():
+    """In the first of the worlds, on its own path and on all others.
+
+    Where a sample is just accepted or just not, another compiler's rounding decides.
+    """
+    noises = pd.read_csv(order_in_worlds.NOISES).query("world == 0")
+    worlds = order_in_worlds.with_noises(which_worlds.posterior_worlds()[:1], noises)
+    now = order_in_worlds.drive_by_rule(worlds).astype(float)
+    then = order_in_worlds.order_drives().loc[[0]]
+    assert list(now.columns) == list(then.columns)
+    np.testing.assert_allclose(now, then, rtol=0.02)
 
 
 def test_shares_of_worlds_are_counted_by_their_means():
@@ -122,6 +117,12 @@ def test_shares_of_worlds_are_counted_by_their_means():
     assert row["RHE better, neither lost"] == pytest.approx(2 / 3, abs=1e-5)
     assert row["EKF / RHE"] == 2.0
     assert row["low"] < 0.75 < row["high"]
+    share = f"0.750 [{row['low']:.3g}, {row['high']:.3g}]"
+    ratios = np.quantile([2.0, 2.0, 2 / 3, 200.0], [0.05, 0.95])
+    ratio = f"2.00 [{ratios[0]:.3g}, {ratios[1]:.0f}]"
+    shown = order_in_worlds.readable_rules(table)
+    assert shown.loc["tracking", "left"] == f"{share}; {ratio}"
+    assert [*shown.index] == [*order_in_worlds.RULES]
 
 
 def test_every_interpretation_is_a_scenario_and_another_one_than_the_default():

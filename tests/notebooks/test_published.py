@@ -12,17 +12,17 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_rgb
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import rhec
 from docs.site.check_figures import difference
 from notebooks.further import faults, recorded_logs, traction_worth_plots
-from notebooks.plots import interpretations, robot_drawings, scenarios, which_worlds
+from notebooks.plots import robot_drawings, scenarios, which_worlds
+from notebooks.plots.timing import phases
 from notebooks.studies import order_in_worlds, scenario_tables
 from notebooks.studies import which_worlds as worlds
-from rhec import style
+from rhec import paper, style
 
 
 def table(name):
@@ -40,7 +40,7 @@ def pairs():
 
 @functools.cache
 def inverse():
-    """What notebook 07 shows: the posterior's worlds, its tables, and drives before and after."""
+    """What notebook 07 shows: the posterior's worlds, and its tables."""
     drives = worlds.prior_drives()
     table = worlds.simulations(drives, worlds.both_rounds(drives))
     drawn, *_ = worlds.posterior_draws(table, 2000, 0)
@@ -59,8 +59,7 @@ def inverse():
         inverse_default=worlds.beside_the_default().reset_index(),
         inverse_rules=order_in_worlds.rule_rows(order_in_worlds.order_drives(), effective),
     )
-    some = np.random.default_rng(0).permutation(np.concatenate(before))[:4000]
-    return (drawn, learned), tables, (some, after)
+    return (drawn, learned), tables
 
 
 def yaw_weights():
@@ -71,25 +70,32 @@ def yaw_weights():
     }
 
 
+def phases_of_the_paper():
+    """Times of the paper's phases as if they had been taken here, a thousandth of them in µs."""
+    rows = [
+        (problem, phase, *times)
+        for (problem, phase), times in paper.TABLE_1_MS.items()
+        if phase != "overall"
+    ]
+    columns = ["problem", "phase", "minimum_us", "average_us", "maximum_us"]
+    return pd.DataFrame(rows, columns=columns)
+
+
 PICTURES = {
     "fig01_robot_in_row": robot_drawings.robot_in_row,
     "fig02_robot_parts": robot_drawings.robot_parts,
     "fig03_hardware": robot_drawings.hardware_blocks,
     "fig04_schematic": robot_drawings.schematic,
+    "fig05_phases": lambda: phases(phases_of_the_paper(), "another computer"),
     "fig06_yaw_weight": lambda: scenarios.trajectories_q(yaw_weights(), table("table_scenario_a")),
     "fig07_trajectories": lambda: scenarios.trajectories(pairs()),
     "fig08_errors": lambda: scenarios.errors(pairs()),
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
-    "audit_interpretations": lambda: interpretations.forest(
-        table("audit_interpretations"), "prediction"
-    ),
-    "inverse_order": lambda: which_worlds.order(table("inverse_rules")),
-    "inverse_predictions": lambda: which_worlds.predictions(*inverse()[2]),
+    "inverse_posterior": lambda: which_worlds.posterior(*inverse()[0]),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))
     ),
-    "unknowns": lambda: traction_worth_plots.unknowns_by_difference(table("table_unknowns")),
 }
 
 
@@ -122,38 +128,12 @@ def test_the_tables_in_git_are_what_the_drives_in_git_give(monkeypatch):
     """Of the table by how many simulations are kept, the first row."""
     monkeypatch.setattr(worlds, "KEPT", worlds.KEPT[:1])
     drives = worlds.prior_drives()
-    kept = worlds.by_kept(worlds.simulations(drives, worlds.both_rounds(drives))).reset_index()
+    made = worlds.simulations(drives, worlds.both_rounds(drives))
+    kept = worlds.by_kept(made, 2000, 0).reset_index()
     expected = table("inverse_kept").head(1)
     assert difference(kept.astype(expected.dtypes), expected) == ""
     for name, made in inverse()[1].items():
         assert difference(made.astype(table(name).dtypes), table(name)) == "", name
-
-
-def test_a_posterior_is_drawn_over_the_range_of_its_prior_and_in_colour_if_it_tells():
-    """Oracle: the worlds in each bin, over those that a flat prior has there."""
-    (drawn, learned), *_ = inverse()
-    shown = learned.loc[["speed_mps", "mu_slip", "kappa_slip", "rows", "turn_demand"]]
-    figure = which_worlds.posterior(drawn, shown)
-    assert [axes.get_visible() for axes in figure.axes] == [True] * 5 + [False] * 3
-    for axes, (name, row) in zip(figure.axes, shown.iterrows()):
-        prior = worlds.PRIORS[name]
-        (stairs,) = axes.patches
-        density, edges, _ = stairs.get_data()
-        assert (edges[0], edges[-1]) == pytest.approx((prior.least, prior.most))
-        if prior.logarithmic:
-            edges = np.log(edges)
-        assert np.diff(edges) == pytest.approx(np.ptp(edges) / len(density))
-        at = np.log(drawn[name]) if prior.logarithmic else drawn[name]
-        inside = [((low <= at) & (at < high)).mean() for low, high in zip(edges, edges[1:])]
-        assert density == pytest.approx(np.multiply(inside, len(density)), abs=0.02)
-        assert (axes.get_xscale() == "log") == prior.logarithmic
-        flat, middle = axes.lines
-        assert flat.get_ydata() == [1, 1] and middle.get_xdata() == [row["median"]] * 2
-        assert axes.get_ylim()[0] == 0 and axes.get_ylim()[1] > density.max()
-        percent = int(axes.get_title("left").split()[2])
-        assert percent == pytest.approx(100 * max(row["narrowed"], 0), abs=0.51)
-        colour = style.BLUE if row["narrowed"] > 0.15 else style.GREY
-        assert stairs.get_facecolor()[:3] == to_rgb(colour)
 
 
 def test_a_row_of_the_published_faults_is_what_its_drives_give():

@@ -1,4 +1,6 @@
+import base64
 import contextlib
+import io
 import json
 import os
 import re
@@ -18,6 +20,7 @@ from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
 from papermill.exceptions import PapermillExecutionError
+from PIL import Image
 from traitlets.config import PyFileConfigLoader
 
 from notebooks import run as notebook
@@ -177,6 +180,11 @@ def test_every_notebook_is_made_by_make():
     assert {*names} >= {each.stem for each in ROOT.glob("notebooks/*.ipynb")}
 
 
+A_COLUMN = """from matplotlib.figure import Figure
+from notebooks.run import parameters
+from rhec import style
+parameters(globals())
+Figure(figsize=(style.COLUMN_IN, 1)).subplots().figure"""
 OWN_ALT = 'display(new("L", (9, 9)), metadata={"image/png": {"alt": "its own"}})'
 
 
@@ -284,10 +292,11 @@ def test_a_cell_that_fails_is_told_in_a_sentence_where_it_can_be(
 def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
     """A cell may describe its own; nbconvert writes them into its pages.
 
-    For make the output is older than what was edited while it ran.
+    A figure a column wide has 900 pixels. For make the output is older than what was edited while
+    it ran.
     """
     edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
-    path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT)
+    path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT, A_COLUMN)
     found = nbformat.read(path, 4)
     caption = "Words before.\n\n**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
     found.cells.insert(1, v4.new_markdown_cell(caption))
@@ -295,7 +304,10 @@ def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, mo
     output = run_toy(monkeypatch, path)
     assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
     page, _ = HTMLExporter().from_filename(str(output))
-    one, other = re.findall(r'<img alt="(.*?)"', page)
+    one, other, _ = re.findall(r'<img alt="(.*?)"', page)
+    *_, column = (cell.outputs[0] for cell in nbformat.read(output, 4).cells if "outputs" in cell)
+    picture = Image.open(io.BytesIO(base64.b64decode(column.data["image/png"])))
+    assert picture.width == pytest.approx(900, abs=1)
     assert one.startswith("Figure 1. The error by GNSS. More.") and len(one) <= 250
     assert other == "its own" and "No description has been provided" not in page
 

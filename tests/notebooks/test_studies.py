@@ -3,12 +3,14 @@
 import subprocess
 from concurrent.futures import BrokenExecutor, Executor, Future
 
+import pandas as pd
 import pytest
 
 import rhec
-from notebooks.further import recorded_logs
-from notebooks.studies import toolchain
+from notebooks.further import consistency, faults, recorded_logs, transfer, unknowns
+from notebooks.studies import interpretations, order, order_in_worlds, tables, toolchain
 from notebooks.studies.parallel import map_runs
+from rhec import style
 from rhec.simulation.campaigns import campaign, workers
 
 
@@ -20,6 +22,43 @@ def test_the_papers_estimators_have_the_noise_that_was_asked_for():
     assert noises == {"soft_soil"}
     for arguments in predicting.values():
         rhec.Scenario(**arguments)
+
+
+def published(name):
+    return pd.read_csv(style.ROOT / f"data/results/{name}.csv")
+
+
+# {table of data/results: what a notebook shows of it, and what names its rows and its columns}
+SHOWN = {
+    "audit_order": (order.readable_order, "variation", "process_noise"),
+    "audit_interpretations": (interpretations.readable_changes, "interpretation", "quantity"),
+    "inverse_rules": (order_in_worlds.readable_rules, "rule for W", "turns"),
+    "table_unknowns": (unknowns.readable_errors, "robot", "world"),
+    "table_replay": (tables.readable, "quantity", "estimator"),
+    "table_consistency": (consistency.verdicts, "estimator", None),
+    "table_recorded_yaw": (transfer.of_the_page, "log", None),
+    "table_faults": (faults.readable_fault_table, "case", None),
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_table_for_readers_has_the_order_of_what_it_shows(name):
+    """The rows of the published tables are in no alphabetical order."""
+    show, rows, columns = SHOWN[name]
+    table = published(name)
+    shown = show(table.assign(seed=0))
+    told = shown.reset_index()
+    told = told[rows] if rows in told else told.iloc[:, 0]
+    expected = list(dict.fromkeys(table[rows].astype(str)))
+    if name == "table_faults":
+        expected = list(dict.fromkeys(table["family"] + ": " + table["case"]))
+    elif name == "table_unknowns":
+        expected = [*unknowns.ROBOTS]
+    found = list(dict.fromkeys(told))
+    assert found == [tables.with_minus(each) for each in expected]
+    assert found != sorted(found)
+    if columns:
+        assert list(shown.columns) == list(dict.fromkeys(table[columns]))
 
 
 class Deadly(Executor):

@@ -61,6 +61,13 @@ def test_the_best_settings_of_the_training_fields_are_driven(monkeypatch):
     traction_map.drive([0.8], range(2), 3)
     tried, chosen = driven
     assert {each.seed for group in tried.values() for each in group} == {1000, 1001, 1002}
+    for each in (group[0] for group in (*tried.values(), *chosen.values())):
+        # μ slips and varies half as much as κ, which varies by a tenth of its slip.
+        slips = 1 - each.mu_mean, 1 - each.kappa_mean, each.mu_deviation, each.kappa_deviation
+        assert slips == pytest.approx((0.1, 0.2, 0.01, 0.02))
+        driven_m = each.mu_mean * each.speed_mps * each.duration_s
+        _, curvatures = path_of(each).poses(np.arange(0, driven_m, 0.1))
+        assert curvatures.min() < 0 < curvatures.max()  # a turn to either side
     for (_, _, loop), group in chosen.items():
         assert [each.seed for each in group] == [0, 1]
         assert {each.r for each in group} == {10.0 if loop == traction_map.WITH_PAPERS_R else 0.04}

@@ -109,6 +109,14 @@ def test_a_ratio_is_at_equal_seeds():
     assert (of_errors["n"] == SEEDS).all() and (of_errors["lost"] == 0).all()
 
 
+def test_each_robot_has_a_row_with_its_errors_in_millimetres():
+    shown = unknowns.readable_errors(unknowns.worth_table(made_up(drift_pays)))
+    assert [*shown.columns] == EVERY_WORLD and len(shown) == 2 * len(unknowns.ROBOTS)
+    mean_mm = 1e3 * made_up(drift_pays)["d = 0", unknowns.ORACLE, unknowns.TUNED].mean()
+    text = shown.loc[(unknowns.TUNED, unknowns.ORACLE), "d = 0"]
+    assert text.startswith(f"{mean_mm:.1f} [") and len(set(shown.iloc[0])) == 1
+
+
 @pytest.mark.parametrize(
     "factor_of, what, percent",
     [(drift_pays, "the yaw drift", "50 %"), (traction_pays, "the traction", "30 %")],

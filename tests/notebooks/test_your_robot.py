@@ -41,8 +41,7 @@ def test_the_table_counts_where_the_slips_have_converged(log):
 
 
 def test_positions_are_those_of_the_log_beside_the_way_driven(log):
-    tracks = your_robot.positions_of(log, PATH)
-    (axes,) = your_robot.positions(tracks).axes
+    (axes,) = your_robot.positions(log, PATH).axes
     drawn = {line.get_label(): line.get_xydata() for line in axes.lines}
     for name, column in dict(truth="x", RHE="x_hat", measured="z").items():
         np.testing.assert_array_equal(drawn[name], log[column][:, :2])
@@ -51,26 +50,21 @@ def test_positions_are_those_of_the_log_beside_the_way_driven(log):
 
 
 def test_estimates_have_two_sigma_within_their_bounds_and_commands_are_held(log):
-    truth, sigma = log["slips"], log["sigma"][:, 3:]
-    figure = your_robot.parameters_and_bounds(TIME_S, log["p_hat"], sigma, truth, BOUNDS)
-    for k, (axes, limits) in enumerate(zip(figure.axes, BOUNDS.values())):
+    limits = dict.fromkeys(BOUNDS, (0.0, 0.7))
+    figure = your_robot.parameters_and_commands(TIME_S, log, BOUNDS, limits)
+    for k, (axes, limits_) in enumerate(zip(figure.axes, BOUNDS.values())):
         true, middle, *bounds = axes.lines
-        np.testing.assert_array_equal(true.get_ydata(), truth[:, k])
+        np.testing.assert_array_equal(true.get_ydata(), log["slips"][:, k])
         np.testing.assert_array_equal(middle.get_ydata(), log["p_hat"][:, k])
-        assert [line.get_ydata()[0] for line in bounds] == [*(limits or ())]
+        assert [line.get_ydata()[0] for line in bounds] == [*(limits_ or ())]
         band = axes.collections[0].get_paths()[0].vertices[:, 1]
         ends = log["p_hat"][:, k] + 0.2 * np.array([[-1], [1]])
-        low, high = np.clip(ends, *limits or (None, None))
+        low, high = np.clip(ends, *limits_ or (None, None))
         assert (band.min(), band.max()) == pytest.approx((low.min(), high.max()))
-    assert [text.get_text() for text in figure.legends[0].texts] == [
-        "2 σ",
-        "truth",
-        "RHE",
-        "bounds",
-    ]
-    limits = dict.fromkeys(BOUNDS, (0.0, 0.7))
-    for k, axes in enumerate(your_robot.commands_and_bounds(TIME_S, log["u"], limits).axes):
+    assert [text.get_text() for text in figure.legends[0].texts] == ["2 σ", "truth", "RHE"]
+    for k, axes in enumerate(figure.axes[2:]):
         command, *bounds = axes.lines
         np.testing.assert_array_equal(command.get_ydata(), log["u"][:, k])
         assert command.get_drawstyle() == "steps-post"
         assert [line.get_ydata()[0] for line in bounds] == [0.0, 0.7]
+    assert [axes.get_title("left") for axes in figure.axes] == ["left", "right"] * 2

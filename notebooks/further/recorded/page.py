@@ -148,7 +148,7 @@ def readable_unsure():
 
 def readable_verdicts():
     rows = []
-    for (drives, n), of in _table("verdicts").groupby(["drives", "seeds"], sort=False):
+    for (drives, n), of in _table("verdicts").groupby(["drives", "seeds"]):
         by_rate = of.set_index("rate")
         rates = ["false trust", "false alarm"]
         row = [f"{by_rate.loc[rates, 'n'].sum()} in {drives}", n]

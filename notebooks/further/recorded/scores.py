@@ -1,31 +1,26 @@
 """Scores of a replay: errors if the log has the truth, and innovations.
 
-Perturbed replays add noise, a wrong initial yaw and sensor faults to a log.
+Perturbed replays add noise and a wrong initial yaw to a log.
 """
 
 import numpy as np
-import pandas as pd
 
 from rhec import paper, style
 from rhec.logs.checks import refuse
 from rhec.logs.course import UNSURE_YAW_RAD
 from rhec.logs.recording import delayed, prepare
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS, measured_of
-from rhec.simulation.fault_signals import corrupted
+from rhec.simulation.columns import MEASUREMENTS, TRUE_SPEEDS
 
 # Distance driven in a segment from which scores count; before it the yaw has not yet converged.
 FROM_M = 8.0
-WINDOW_S = 5.0  # window of the sliding regressions
-REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
+_REGRESSIONS = tuple(zip(MEASUREMENTS[2:], TRUE_SPEEDS))  # of μ, of κ
 _FAST_RADPS = 0.8  # yaw_rms_slow_rad leaves out faster spins
 BAD_RAD = 0.5  # a larger error of the yaw is bad
 GOOD_RAD = 0.2  # a smaller one is good
 Z_95 = 1.96  # standard deviations
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _STRAIGHT_RAD = 0.05  # most that the robot turns in a straight second
 _STRAIGHT_M = 0.3  # least that it moves
-_LEAST_RMS = 0.1  # smallest RMS [m/s, rad/s] of the measurements in a window with a regression
 
 
 def regression(samples):
@@ -34,25 +29,11 @@ def regression(samples):
     x: speed or yaw rate by the encoders; y: the true value over ground.
     """
     coefficients = []
-    for measured, truth in REGRESSIONS:
+    for measured, truth in _REGRESSIONS:
         xy = samples[measured] * samples[truth]
-        xx = samples[measured] ** 2
-        total = xx[xy.notna()].sum()
+        total = (samples[measured] ** 2)[xy.notna()].sum()
         coefficients.append(xy.sum() / total if total > 0 else np.nan)
     return tuple(coefficients)
-
-
-def sliding_regression(samples):
-    """Apparent (μ, κ) over WINDOW_S around each sample, (n, 2); NaN at low speeds."""
-    columns = []
-    for measured, truth in REGRESSIONS:
-        xy = samples[measured] * samples[truth]
-        xx = samples[measured] ** 2
-        windows = pd.DataFrame(dict(xy=xy, xx=xx)).groupby(samples["segment"])
-        means = windows.rolling(round(WINDOW_S / paper.DT_S), center=True).mean()
-        means = means.reset_index(drop=True)
-        columns.append((means["xy"] / means["xx"]).where(means["xx"] >= _LEAST_RMS**2))
-    return np.stack(columns, axis=1)
 
 
 def yaw_error(samples):
@@ -95,11 +76,6 @@ def mounting_angle_rad(log):
     return float(np.median(angles)) if len(angles) else 0.0
 
 
-def _position_error(samples):
-    """Estimated minus true position [m], (x, y)."""
-    return samples["x_hat_m"] - samples["x_m"], samples["y_hat_m"] - samples["y_m"]
-
-
 def distance_driven(samples):
     """Distance driven in the segment until each sample [m], by the encoders."""
     steps = paper.DT_S * samples["nu_meas_mps"].abs().fillna(0)
@@ -132,6 +108,7 @@ def score(samples):
         With the true yaw:
 
         - yaw_rms_rad, and yaw_rms_slow_rad without fast spins;
+        - not_good: share of the errors above GOOD_RAD;
         - nees_yaw: mean of the squared error over its variance, 1 if the estimator is consistent;
         - inside_95: share of the errors within 1.96 standard deviations;
         - bad_unsure, good_unsure: shares of the bad and of the good yaws that are unsure: the
@@ -161,13 +138,15 @@ def score(samples):
         values |= dict(
             yaw_rms_rad=rms(error),
             yaw_rms_slow_rad=rms(error[is_slow]),
+            not_good=(error.abs() > GOOD_RAD)[error.notna()].mean(),
             nees_yaw=(error**2 / sigma**2).mean(),
             inside_95=(error.abs() <= Z_95 * sigma)[error.notna()].mean(),
             bad_unsure=is_unsure[error.abs() > BAD_RAD].mean(),
             good_unsure=is_unsure[error.abs() < GOOD_RAD].mean(),
         )
     if {"x_m", "y_m"} <= set(samples):
-        values["position_rms_m"] = rms(*_position_error(counted))
+        off_m = (counted[f"{name}_hat_m"] - counted[f"{name}_m"] for name in "xy")
+        values["position_rms_m"] = rms(*off_m)
     if set(TRUE_SPEEDS) <= set(samples):
         mu, kappa = regression(samples)
         values |= dict(
@@ -179,48 +158,38 @@ def score(samples):
     return values
 
 
-def perturbed_replay(log, seed, **arguments):
-    """Samples of a replay with noise, a wrong initial yaw and faults added to the log.
+def perturbed_replay(
+    log,
+    seed,
+    noise_m=0.02,
+    yaw_error_rad=0.3,
+    *,
+    estimator="rhe",
+    track_width_m=None,
+    position_delay_s=0.0,
+    trust_log=False,
+    lever_arm_m=None,
+    smooth=False,
+    **fields,
+):
+    """Samples of a replay with noise and a wrong initial yaw added to the log.
 
     Args:
         log: DataFrame of a recording, as `rhec.replay` takes it.
-        seed: Seed of the noise and the faults.
-        **arguments: Those of `rhec.replay`, and
-
-            - noise_m: standard deviation of the white noise on positions [m], by default 0.02. Its
-              variance is added to that of a sigma_v, which describes the log;
-            - yaw_error_rad: error of the initial yaw in each segment [rad], by default 0.3. Without
-              the true yaw the initial yaw is estimated as in `rhec.replay`;
-            - faults: (rhec.Fault, …).
+        seed: Seed of the noise.
+        noise_m: Standard deviation of the white noise on positions [m]. Its variance is added to
+            that of a sigma_v, which describes the log.
+        yaw_error_rad: Error of the initial yaw in each segment [rad]. Without the true yaw the
+            initial yaw is estimated as in `rhec.replay`.
+        estimator, track_width_m, position_delay_s, trust_log, lever_arm_m, smooth, **fields: As of
+            `rhec.replay`.
 
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
-    recording, others = _prepared(log, **arguments)
-    return _perturbed(recording, seed, **others)
-
-
-def _prepared(log, track_width_m=None, position_delay_s=0.0, trust_log=False, **others):
-    """The Recording of a log, refused if it is implausible, and the other arguments."""
     recording = delayed(prepare(log, track_width_m), position_delay_s)
     if not trust_log:
         refuse(recording)
-    return recording, others
-
-
-def _perturbed(
-    recording,
-    seed,
-    noise_m=0.02,
-    yaw_error_rad=0.3,
-    estimator="rhe",
-    *,
-    lever_arm_m=None,
-    faults=(),
-    smooth=False,
-    **fields,
-):
-    """`perturbed_replay` of a Recording."""
     rows = recording.rows.copy()
     noise = np.random.default_rng(seed).standard_normal((len(rows), 2))
     rows[MEASUREMENTS[:2]] += noise_m * noise
@@ -235,32 +204,7 @@ def _perturbed(
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
     recording = recording._replace(rows=rows)
     scenario = replay_scenario(estimator, recording, fields)
-    samples = recording.samples()
-    for part in samples:
-        _corrupt(part, faults, recording.track_width_m, scenario.sensors, seed)
-    return estimate_samples(recording, scenario, guess, smooth, samples)
-
-
-def _corrupt(part, faults, track_width_m, sensors, seed):
-    """Put faults into the samples of a segment, for a robot with these sensors."""
-    if faults:
-        measured = measured_of(sensors)
-        z = part[measured].to_numpy()
-        z = corrupted(z, faults, part["t_s"], track_width_m, seed, sensors)
-        # Infinite measurements count as missing, as in a log.
-        part[measured] = np.where(np.isfinite(z), z, np.nan)
-
-
-def perturbed_scores(log, seeds, **arguments):
-    """Scores of perturbed replays, a DataFrame with one row for each seed.
-
-    Args:
-        log, **arguments: As in `perturbed_replay`.
-        seeds: Seeds of the noise.
-    """
-    recording, others = _prepared(log, **arguments)
-    replays = (_perturbed(recording, seed, **others) for seed in seeds)
-    return pd.DataFrame([dict(seed=seed) | score(samples) for seed, samples in zip(seeds, replays)])
+    return estimate_samples(recording, scenario, guess, smooth)
 
 
 def save(name, table, caption, **about):

@@ -19,17 +19,17 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy import signal
 
 import rhec
-from notebooks.further.recorded.scores import FROM_M, Z_95, distance_driven, save, yaw_error
+from notebooks.further.recorded.scores import save, score
+from notebooks.studies.parallel import parallel_map
 from notebooks.studies.statistics import share_interval
 from rhec.logs import terms
 from rhec.simulation.columns import ESTIMATE, POSE
-from rhec.style import ROOT, source
 
 SEEDS = 4  # of each kind in open loop, and twice as many in closed loop
 FIRST_SEED = 560_000  # other seeds than those by which constants were chosen
-BAD_RAD = 0.2
 _MOST_BAD = 0.05  # share of the yaws
 FAR_KAPPA = 0.02
 _LEAST_COVERED = 0.85
@@ -125,12 +125,9 @@ def open_loop_log(
 def _wandering(n, sigma_m, rng):
     """Errors (n,) x + iy [m] of a Gauss-Markov process with a time constant of 60 s."""
     a = np.exp(-1 / _RATE_HZ / 60.0)
-    steps = rng.standard_normal((2, n)).T @ [1, 1j]
-    errors = np.empty(n, complex)
-    errors[0] = sigma_m * steps[0]
-    for k in range(1, n):
-        errors[k] = a * errors[k - 1] + sigma_m * np.sqrt(1 - a**2) * steps[k]
-    return errors
+    steps = sigma_m * rng.standard_normal((2, n)).T @ [1, 1j]
+    steps[1:] *= np.sqrt(1 - a**2)
+    return signal.lfilter([1.0], [1.0, -a], steps)
 
 
 def closed_loop_log(world, sensors, seed):
@@ -174,17 +171,16 @@ def true_slopes(samples):
     return terms.slopes(truth.assign(arm_forward_hat_m=0.0, arm_left_hat_m=0.0))
 
 
-def judged(log, known=None, **options):
+def judged(log, known=None):
     """What `rhec.log` says of a log with a truth, and whether that is right: {name: value}.
 
     Args:
         log: DataFrame of the log.
         known: μ, κ and drift of its robot; by default those of its true path.
-        **options: Of `rhec.log`.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return of_summary(rhec.log(log, trust_log=True, **options), known)
+        return of_summary(rhec.log(log, trust_log=True), known)
 
 
 def of_summary(summary, known=None):
@@ -192,11 +188,10 @@ def of_summary(summary, known=None):
     row = dict(is_trusted=summary.verdict.startswith("Trust it"), verdict=summary.verdict)
     row |= {name: summary.numbers[name] for name in ("inflation", "hidden", "hidden_covered")}
     for name, samples in (("way", summary.way), ("smoothed", summary.samples)):
-        error = yaw_error(samples)[distance_driven(samples) >= FROM_M].dropna()
-        sigma = samples.loc[error.index, "sigma_theta_rad"]
-        row[f"{name}_rms_rad"] = float(np.sqrt((error**2).mean()))
-        row[f"{name}_bad"] = float((error.abs() > BAD_RAD).mean())
-        row[f"{name}_in_95"] = float((error.abs() <= Z_95 * sigma).mean())
+        scores = score(samples)
+        row[f"{name}_rms_rad"] = scores["yaw_rms_rad"]
+        row[f"{name}_bad"] = scores["not_good"]
+        row[f"{name}_in_95"] = scores["inside_95"]
     of_path = [slope.value for slope in true_slopes(summary.samples)]
     for (name, told), true, path in zip(summary.traction.iterrows(), known or of_path, of_path):
         row |= {f"{name}_true": true, f"{name}_path": path}
@@ -207,21 +202,21 @@ def of_summary(summary, known=None):
     return row
 
 
-def trials(seeds, done=None):
-    """A row of `judged` for each of `drives`, a DataFrame; those in `done` are not driven again."""
-    rows = [] if done is None else done.to_dict("records")
-    known = {(row["loop"], row["kind"], row["seed"]) for row in rows}
-    for drive in drives(seeds):
-        if drive[:3] not in known:
-            about = dict(loop=drive.loop, kind=drive.kind, seed=drive.seed)
-            rows.append(about | judged(drive.make(), drive.known))
-            yield pd.DataFrame(rows)
+def trials(seeds):
+    """A row of `judged` for each of `drives`, a DataFrame."""
+    return pd.DataFrame(parallel_map(_tried, [*drives(seeds)]))
+
+
+def _tried(drive):
+    """The row of a Drive."""
+    about = dict(loop=drive.loop, kind=drive.kind, seed=drive.seed)
+    return about | judged(drive.make(), drive.known)
 
 
 def rates(rows):
     """False trust and false alarms by loop, a DataFrame with Clopper and Pearson's intervals."""
     table = []
-    for loop, of_loop in rows.groupby("loop", sort=False):
+    for loop, of_loop in rows.groupby("loop"):
         wrong, trusted = (of_loop[name].astype(bool) for name in ("is_wrong", "is_trusted"))
         untold = of_loop["verdict"].str.startswith("Cannot tell")
         for rate, cases, counts in (
@@ -253,13 +248,7 @@ def coverage(rows):
 
 if __name__ == "__main__":
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
-    # Drives of other code do not count.
-    file = ROOT / "build" / "verdicts" / f"{source()}.csv"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    done = pd.read_csv(file) if file.exists() else None
-    for rows in trials(seeds, done):
-        rows.to_csv(file, index=False)
-        done = rows
-    save("verdicts", rates(done), "Rates of false trust and false alarms")
-    save("coverage", coverage(done), "How often intervals hold the truth")
-    print(rates(done).to_string(), coverage(done).to_string(), sep="\n\n")
+    rows = trials(seeds)
+    save("verdicts", rates(rows), "Rates of false trust and false alarms")
+    save("coverage", coverage(rows), "How often intervals hold the truth")
+    print(rates(rows).to_string(), coverage(rows).to_string(), sep="\n\n")
