@@ -15,6 +15,7 @@ What else may be true of a log is a table of hypotheses, tried one after the oth
 | the defaults predict better | the defaults are kept | hidden positions are 1.05 times as near |
 """
 
+import dataclasses
 import itertools
 from typing import Any, NamedTuple
 
@@ -31,10 +32,11 @@ from rhec.logs.filtering import Loss
 from rhec.logs.judge import HIDDEN_S, hidden_errors
 from rhec.logs.likelihood import Z_95, Calibration, Likelihood, Unknown, normal_report
 from rhec.logs.model_calibration import calibrate_model
+from rhec.logs.motion import LEAST_TURNED_RAD, turned_rad
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import LEAST_TURNED_RAD, Recording, delayed, prepare, turned_rad, with_ages
+from rhec.logs.recording import Recording, delayed, prepare, with_ages
 from rhec.logs.replay import InitialGuess, estimate_samples, refuse_with_model, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
@@ -458,4 +460,5 @@ def _usable(recording):
             "a robot that hardly moves cannot be calibrated"
         )
     rows = recording.rows
-    return recording._replace(rows=rows[rows["segment"].isin(usable)].reset_index(drop=True))
+    rows = rows[rows["segment"].isin(usable)].reset_index(drop=True)
+    return dataclasses.replace(recording, rows=rows)

@@ -15,7 +15,6 @@ import pandas as pd
 
 from rhec.logs.finding import passed, refused
 from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
-from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import MEASUREMENTS
 
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
@@ -53,6 +52,7 @@ class _Log(NamedTuple):
     rows: pd.DataFrame
     width_m: float
     columns: dict  # {name in the rows: column of the log}
+    noise_m: float  # of the positions
     kappa: float  # of the log as it is, at least 0
 
 
@@ -137,7 +137,7 @@ def _vertices(log):
     `turn` is that of the course at a corner [rad]. At a cusp the robot changes its direction: there
     the course turns by half a turn more or less than the robot does by its encoders.
     """
-    least_m = max(_VERTEX_M, _VERTEX_SIGMAS * position_sigma_m(log.rows))
+    least_m = max(_VERTEX_M, _VERTEX_SIGMAS * log.noise_m)
     parts = []
     for track in tracks_of(log.rows):
         kept = [0]
@@ -283,8 +283,13 @@ def find(recording):
         _, slope, share = as_it_is
         if share > _GOOD:
             return
-        kappa = max(slope.value, 0.0)
-        log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)
+        log = _Log(
+            rows=recording.rows,
+            width_m=recording.track_width_m,
+            columns=recording.columns,
+            noise_m=recording.noise_m,
+            kappa=max(slope.value, 0.0),
+        )
         found = [*islice(tried(_HYPOTHESES, log, share), 1)]
     for _, finding in found:
         yield finding

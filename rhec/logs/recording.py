@@ -12,6 +12,8 @@
   positions jump by a kilometre and stay there, as in another zone of UTM.
 """
 
+import dataclasses
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +23,8 @@ from rhec import paper
 from rhec.core._casadi.validation import shown
 from rhec.logs.column_names import DECLARED, missing_columns
 from rhec.logs.finding import passed
+from rhec.logs.motion import period_s
+from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import (
     MEANS,
     MEASUREMENTS,
@@ -39,12 +43,7 @@ _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"
-# What a sample has as its newest measurement; of MEANS it has the mean over its interval.
-_MEASURED = (*MEASUREMENTS, *SENSORS.values())
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
-LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
-_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 _TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
 MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
@@ -75,7 +74,8 @@ class Timing(NamedTuple):
     gaps_s: dict  # {mean: longest time over which a measurement is held or interpolated [s]}
 
 
-class Recording(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
     """A log that is ready to be resampled."""
 
     rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
@@ -85,6 +85,10 @@ class Recording(NamedTuple):
     width_source: str  # of the track width, as part of a sentence
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
+    dt_s: float = paper.DT_S  # length of a sample
+    # A sample has the newest measurement of these, and of `means` the mean over its interval.
+    measured: tuple = (*MEASUREMENTS, *SENSORS.values())
+    means: tuple = tuple(MEANS)
     timing: Timing | None = None  # of a Model's log
 
     @property
@@ -92,11 +96,16 @@ class Recording(NamedTuple):
         """The sensors besides GNSS and encoders, names of `columns.SENSORS`."""
         return tuple(name for name, column in SENSORS.items() if column in self.rows)
 
+    @functools.cached_property
+    def noise_m(self):
+        """Standard deviation of the white noise of the robot's positions [m]."""
+        return position_sigma_m(self.rows)
+
     def samples(self):
-        """Samples of the paper's robot, a DataFrame for each segment, as of `resample`."""
+        """The samples, a DataFrame for each segment, as of `resample`."""
         parts = []
         for segment, rows in self.rows.groupby("segment"):
-            part = resample(rows, paper.DT_S, self.averaged)
+            part = resample(rows, self)
             part.insert(0, "segment", segment)
             parts.append(part)
         return parts
@@ -160,36 +169,7 @@ def delayed(recording, position_delay_s):
     rows = recording.rows.copy()
     positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
     rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
-    return recording._replace(rows=rows)
-
-
-def moves(rows):
-    """Whether the robot moves by its encoders in each row or sample, a Series."""
-    return (rows[_ENCODERS].abs() > _MOVING).any(axis=1)
-
-
-def travelled(rows, column, window_s=None):
-    """How far a robot moves in a log: Σ |speed · time|, or of the sums over windows.
-
-    The time is that since the last row in which this sensor measured, at most a second: rows of
-    other sensors in between do not count.
-
-    Args:
-        rows: Rows of a Recording.
-        column: Name of a speed [m/s] or yaw rate [rad/s].
-        window_s: Length of the windows [s], in which noise and motion to and fro cancel.
-    """
-    there = rows[rows[column].notna()]
-    step_s = there.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    moves = there[column] * step_s
-    if window_s:
-        moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
-    return float(moves.abs().sum())
-
-
-def turned_rad(rows):
-    """How far the tracks turn a robot in all, to the left and to the right, without their noise."""
-    return travelled(rows, _ENCODERS[1], _TURNING_S)
+    return dataclasses.replace(recording, rows=rows)
 
 
 def prepare_for(model, dt_s, log, delays_s=None):
@@ -223,14 +203,19 @@ def prepare_for(model, dt_s, log, delays_s=None):
     gaps_s = {
         name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period_s(rows, name)) for name in inputs
     }
-    timing = Timing(dict(delays_s), gaps_s)
-    return Recording(rows, places[usable], True, np.nan, "", faults, columns, timing)
-
-
-def period_s(rows, column):
-    """Median time between the measurements of a column [s]; 0 with fewer than two."""
-    step_s = rows[rows[column].notna()].groupby("segment")["t_s"].diff()
-    return float(step_s.median()) if step_s.notna().any() else 0.0
+    return Recording(
+        rows=rows,
+        places=places[usable],
+        averaged=True,
+        track_width_m=np.nan,
+        width_source="",
+        faults=faults,
+        columns=columns,
+        dt_s=dt_s,
+        measured=model.outputs,
+        means=tuple(inputs),
+        timing=Timing(delays_s, gaps_s),
+    )
 
 
 # Columns
@@ -524,23 +509,21 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None):
+def resample(rows, recording):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
-        rows: Rows of one segment of a Recording.
-        dt_s: Sampling period [s]; the first sample is at the first row.
-        averaged: As in Recording.
-        measured: Names of the measurements. A sample has the newest one since the previous sample,
-            with its age [s] in the column `<name>_age_s`.
-        means: Names of the measurements that are means over the interval that ends at the sample,
-            such as a model's inputs.
-        timing: The Timing of these columns, if they have rates and delays of their own.
+        rows: Rows of one segment of the Recording; the first sample is at the first of them.
+        recording: The Recording.
 
     Returns:
         DataFrame with t_s, the measurements, and the truth: speeds as means over the interval, the
-        pose at the time of the sample.
+        pose at the time of the sample. A measurement that is no mean has its age [s] in the column
+        `<name>_age_s`.
     """
+    dt_s = recording.dt_s
+    means = recording.means
+    timing = recording.timing
     t = rows["t_s"].to_numpy()
     grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
     # A sample takes the exact time of a row that is closer than _SAME_S.
@@ -552,10 +535,10 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None)
     for name in rows.columns.difference(["segment", "t_s", POSITION_AGE], sort=False):
         value = rows[name].to_numpy()
         if name in (*means, *TRUE_SPEEDS):
-            is_mean = averaged and name in means
+            is_mean = recording.averaged and name in means
             times_s, value, gap_s = _timed(name, t, value, timing, _ENCODER_GAP * dt_s)
             result[name] = _means_since(before, at, times_s, value, is_mean, gap_s)
-        elif name in measured:
+        elif name in recording.measured:
             measured_s = positions_s if name in _POSITION else t
             if timing:
                 measured_s = t - timing.delays_s.get(name, 0.0)
@@ -602,14 +585,14 @@ def with_ages(samples, measured):
     return np.hstack([z, ages_s])
 
 
-def measured_since(rows, begin_s, dt_s, averaged, means, timing=None):
+def measured_since(rows, begin_s, recording, names):
     """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
     t = rows["t_s"].to_numpy()
-    gap_s = _ENCODER_GAP * dt_s
+    gap_s = _ENCODER_GAP * recording.dt_s
     columns = {}
-    for name in means:
-        times_s, value, longest_s = _timed(name, t, rows[name].to_numpy(), timing, gap_s)
-        columns[name] = _means_since(begin_s, t, times_s, value, averaged, longest_s)
+    for name in names:
+        times_s, value, longest_s = _timed(name, t, rows[name].to_numpy(), recording.timing, gap_s)
+        columns[name] = _means_since(begin_s, t, times_s, value, recording.averaged, longest_s)
     return pd.DataFrame(columns)
 
 

@@ -19,7 +19,7 @@ from rhec.cli import main
 from rhec.logs import terms
 from rhec.logs.judge import hidden_errors, inflation, judge
 from rhec.logs.outputs import FILES
-from rhec.logs.recording import prepare, resample
+from rhec.logs.recording import prepare
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
 
 LOG = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
@@ -311,9 +311,9 @@ def test_the_factor_covers_what_is_too_often_outside():
 
 def stays(recording):
     """An estimator that stays where the last position was."""
-    samples = resample(recording.rows, 0.2, recording.averaged)
+    (samples,) = recording.samples()
     place = samples[MEASUREMENTS[:2]].ffill().set_axis(ESTIMATE[:2], axis=1)
-    return samples.join(place).assign(segment=0, sigma_x_m=3.0, sigma_y_m=3.0)
+    return samples.join(place).assign(sigma_x_m=3.0, sigma_y_m=3.0)
 
 
 def test_hidden_positions_show_how_far_off_an_estimate_is():
