@@ -72,8 +72,7 @@ _APART_S = 4.0
 _LEAST_APART = 40
 _WANDERS = 1.5  # times the noise of all positions
 _DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
-_SMALL_DELAY_S = 0.1  # a smaller one changes no fit
-_LATE_S = 0.1  # a larger one is made up for
+_LATE_S = 0.1  # a smaller delay changes no fit, and is not made up for
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _OF_SENSORS = tuple(sensor.sigma for sensor in sensors.SENSORS.values())
@@ -309,7 +308,7 @@ def _delay(log, fit):
     there is a second fit, with the delay by the path alone, and the likelier one counts.
     """
     by_path_s = likeliest_delay(log.recording)
-    if abs(by_path_s - fit.delay_s) > _SMALL_DELAY_S:
+    if abs(by_path_s - fit.delay_s) > _LATE_S:
         late = _fitted(log, by_path_s)
         if late.likelihood.objective(late.x) < fit.likelihood.objective(fit.x):
             fit = late

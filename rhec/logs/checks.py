@@ -17,7 +17,7 @@ import numpy as np
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import causes
 from rhec.logs.finding import Finding, Severity, note, refused, warning
-from rhec.logs.motion import LEAST_TURNED_RAD, moves, period_s, travelled, turned_rad
+from rhec.logs.motion import LEAST_TURNED_RAD, MOVING, moves, period_s, travelled, turned_rad
 from rhec.logs.path_checks import check_clock_offset, check_path
 from rhec.logs.position_noise import LEAST_M, declared_m
 from rhec.logs.reader import read_if_path
@@ -29,7 +29,6 @@ _X, _Y, _NU, _OMEGA = MEASUREMENTS
 _POSITION = [_X, _Y]
 _WINDOW_S = 5.0  # in which an encoder counts as dead
 _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
-_DRIVING_MPS = 0.05
 _MOST_UNUSABLE = 0.01  # share of rows whose time cannot be used
 _LEAST_HELD = 5  # positions that repeat the one before
 _MOST_SPIKES = 0.02  # share of the values of an encoder
@@ -167,7 +166,7 @@ def _check_silence(recording):
     place = rows.groupby("segment")[_POSITION].ffill()
     at_encoders = place.where(rows[_NU].notna()).groupby(rows["segment"]).ffill()
     is_carried = _lengths(place - at_encoders) > _MOVED_M
-    drives = rows[_NU].abs() > _DRIVING_MPS
+    drives = rows[_NU].abs() > MOVING
     silent = (("positions", _X, drives), ("encoder speeds", _NU, is_carried))
     for what, column, sees_motion in silent:
         gap_s = _silence_s(rows, column)[sees_motion].max()

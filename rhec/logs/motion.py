@@ -5,12 +5,12 @@ from rhec.simulation.columns import MEASUREMENTS
 _ENCODERS = MEASUREMENTS[2:]
 LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
 _TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
+MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
 
 
 def moves(rows):
     """Whether the robot moves by its encoders in each row or sample, a Series."""
-    return (rows[_ENCODERS].abs() > _MOVING).any(axis=1)
+    return (rows[_ENCODERS].abs() > MOVING).any(axis=1)
 
 
 def travelled(rows, column, window_s=None):

@@ -14,7 +14,6 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,7 @@ from rhec import paper
 from rhec.core._casadi.validation import shown
 from rhec.logs.column_names import DECLARED, missing_columns
 from rhec.logs.finding import passed
-from rhec.logs.motion import period_s
+from rhec.logs.motion import MOVING, period_s
 from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import (
     MEANS,
@@ -44,7 +43,6 @@ _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
-_TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
 MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
 _TRUTH_GAP = 1.75  # longer gaps between true poses are not interpolated
@@ -67,13 +65,6 @@ _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
 
 
-class Timing(NamedTuple):
-    """When the columns of a log were measured, each at a rate and with a delay of its own."""
-
-    delays_s: dict  # {column: delay of its time stamps [s]}
-    gaps_s: dict  # {mean: longest time over which a measurement is held or interpolated [s]}
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
     """A log that is ready to be resampled."""
@@ -89,7 +80,9 @@ class Recording:
     # A sample has the newest measurement of these, and of `means` the mean over its interval.
     measured: tuple = (*MEASUREMENTS, *SENSORS.values())
     means: tuple = tuple(MEANS)
-    timing: Timing | None = None  # of a Model's log
+    delays_s: dict = dataclasses.field(default_factory=dict)  # {column: of its time stamps [s]}
+    # Of a Model's log {mean: longest time over which a measurement is held or interpolated [s]}.
+    gaps_s: dict | None = None
 
     @property
     def sensors(self):
@@ -214,7 +207,8 @@ def prepare_for(model, dt_s, log, delays_s=None):
         dt_s=dt_s,
         measured=model.outputs,
         means=tuple(inputs),
-        timing=Timing(delays_s, gaps_s),
+        delays_s=delays_s,
+        gaps_s=gaps_s,
     )
 
 
@@ -346,7 +340,7 @@ def _recorded_width(log):
     if {*TRACKS, yaw_rate} <= set(log.columns):
         left, right, omega = (_numbers(log, name) for name in (*TRACKS, yaw_rate))
         widths = pd.Series(right - left) / omega
-        width_m = float(widths[np.abs(omega) > _TURNING_RADPS].median())
+        width_m = float(widths[np.abs(omega) > MOVING].median())
         if width_m > 0:
             return width_m, f"by the log's {', '.join(TRACKS)} and {yaw_rate}"
     unknown = f"the paper's, because neither {passed('track_width_m')} nor track speeds tell it"
@@ -398,7 +392,7 @@ def _split_at_jumps(rows):
     # The positions that are compared are at most _ABOUT - 1 steps apart: where all steps are this
     # short none can be astray, and none is a jump.
     longest_step_m = np.abs(np.diff(there[_POSITION].to_numpy(), axis=0)).max(initial=0.0)
-    if longest_step_m <= min(_ASTRAY_M / (_ABOUT - 1), _FAR_M):
+    if longest_step_m <= _ASTRAY_M / (_ABOUT - 1):
         return 0, []
     about = there.groupby("segment")[_POSITION].transform(
         lambda place: place.rolling(_ABOUT, center=True, min_periods=1).median()
@@ -522,8 +516,6 @@ def resample(rows, recording):
         `<name>_age_s`.
     """
     dt_s = recording.dt_s
-    means = recording.means
-    timing = recording.timing
     t = rows["t_s"].to_numpy()
     grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
     # A sample takes the exact time of a row that is closer than _SAME_S.
@@ -534,14 +526,11 @@ def resample(rows, recording):
     positions_s = t - np.nan_to_num(rows[POSITION_AGE].to_numpy()) if POSITION_AGE in rows else t
     for name in rows.columns.difference(["segment", "t_s", POSITION_AGE], sort=False):
         value = rows[name].to_numpy()
-        if name in (*means, *TRUE_SPEEDS):
-            is_mean = recording.averaged and name in means
-            times_s, value, gap_s = _timed(name, t, value, timing, _ENCODER_GAP * dt_s)
-            result[name] = _means_since(before, at, times_s, value, is_mean, gap_s)
+        if name in (*recording.means, *TRUE_SPEEDS):
+            result[name] = means_of(rows, name, before, at, recording)
         elif name in recording.measured:
             measured_s = positions_s if name in _POSITION else t
-            if timing:
-                measured_s = t - timing.delays_s.get(name, 0.0)
+            measured_s = measured_s - recording.delays_s.get(name, 0.0)
             newest = _newest_since(before, at, measured_s, value)
             result[name], result[f"{name}_age_s"] = newest
         else:
@@ -556,16 +545,22 @@ def resample(rows, recording):
     return pd.DataFrame(result)
 
 
-def _timed(name, t, value, timing, gap_s):
-    """Times and values of a column's measurements, and the longest time over which they hold [s].
+def means_of(rows, name, begin, end, recording):
+    """Means of a column over each (begin, end] [s], as of `_means_since`.
 
-    Without a Timing a missing value means that the interval since the row before is not covered.
-    With one, it means that this column was not measured in this row.
+    In a log of the paper's robot a missing value means that the interval since the row before is
+    not covered. In that of a Model it means that this column was not measured in this row.
     """
-    if timing is None:
-        return t, value, gap_s
-    there = np.isfinite(value)
-    return t[there] - timing.delays_s.get(name, 0.0), value[there], timing.gaps_s.get(name, gap_s)
+    t = rows["t_s"].to_numpy()
+    value = rows[name].to_numpy()
+    gap_s = _ENCODER_GAP * recording.dt_s
+    if recording.gaps_s is not None:
+        there = np.isfinite(value)
+        t = t[there] - recording.delays_s.get(name, 0.0)
+        value = value[there]
+        gap_s = recording.gaps_s.get(name, gap_s)
+    is_mean = recording.averaged and name in recording.means
+    return _means_since(begin, end, t, value, is_mean, gap_s)
 
 
 def with_ages(samples, measured):
@@ -583,17 +578,6 @@ def with_ages(samples, measured):
     ages_s = np.nan_to_num(ages_s.to_numpy(dtype=float))
     z[0, ages_s[0] > 0] = np.nan
     return np.hstack([z, ages_s])
-
-
-def measured_since(rows, begin_s, recording, names):
-    """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
-    t = rows["t_s"].to_numpy()
-    gap_s = _ENCODER_GAP * recording.dt_s
-    columns = {}
-    for name in names:
-        times_s, value, longest_s = _timed(name, t, rows[name].to_numpy(), recording.timing, gap_s)
-        columns[name] = _means_since(begin_s, t, times_s, value, recording.averaged, longest_s)
-    return pd.DataFrame(columns)
 
 
 def _unwrapped(angle):

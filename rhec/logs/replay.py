@@ -34,14 +34,7 @@ from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw, yaw_sigma_rad
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import (
-    POSITION_AGE,
-    delayed,
-    measured_since,
-    prepare,
-    prepare_for,
-    with_ages,
-)
+from rhec.logs.recording import POSITION_AGE, delayed, means_of, prepare, prepare_for, with_ages
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     ACCEPTED,
@@ -132,7 +125,7 @@ class Replay(NamedTuple):
         """What the scan records at a segment's samples, as a DataFrame.
 
         Args:
-            memory: (n,) of the estimator before the first sample, then the guess of `quantities`.
+            memory: (n,) of the estimator before the first sample, then a number for each quantity.
             stream: (samples, 2 n_z), as of `recording.with_ages`.
         """
         functions = compiled.load(build_scan, self.quantities, *self.structure)
@@ -157,8 +150,9 @@ class Replay(NamedTuple):
 def build_scan(names, gates, kind, *structure):
     """The scan of an estimator over a log.
 
-    Its memory is that of the estimator followed by the last estimate. A row of its stream is that
-    of `recording.with_ages`.
+    Its memory is that of the estimator followed by the last estimate, by which late measurements
+    are moved; before the first sample there is none. A row of its stream is that of
+    `recording.with_ages`.
 
     Args:
         names: Of what is recorded as the estimate, NaN where the estimator does not estimate it.
@@ -396,7 +390,7 @@ def first_memory_of(how, scenario, *of_guess):
     guess, sigma = first_guess(*of_guess)
     choice = Choice.of(scenario)
     memory = pack_array(estimator_of(choice.estimator).init(choice, guess, sigma))
-    return np.append(memory, [guess[name] for name in how.quantities])
+    return np.append(memory, np.zeros(len(how.quantities)))
 
 
 def _sigma_first(first):
@@ -577,8 +571,7 @@ def _replay_model(log, model, estimator, delays_s, arguments):
         memory = pack_array(rhe.init(live.window, mean, sigma))
     else:
         memory = live.first_memory
-    guess = dict(zip(model.joint_names, mean))
-    memory = np.append(memory, [guess.get(name, 0.0) for name in model.names])
+    memory = np.append(memory, np.zeros(len(model.names)))
     recording = prepare_for(model, dt_s, log, delays_s)
     how = Replay(
         model=model,
@@ -638,8 +631,8 @@ def _at_rows_of_segment(samples, rows, recording, how):
     last = np.searchsorted(sampled, t, side="right") - 1
     tau = t - sampled[last]
     z = samples[how.measured].iloc[last].reset_index(drop=True)
-    means = [name for name in how.measured if name in recording.means]
-    z[means] = measured_since(rows, sampled[last], recording, means)
+    for name in z.columns.intersection(recording.means):
+        z[name] = means_of(rows, name, sampled[last], t, recording)
     result = samples.iloc[last].reset_index(drop=True)
     predicted, _ = how.predict(result[how.hats].to_numpy(), z.to_numpy(), tau)
     result.loc[tau != 0, how.hats] = predicted[tau != 0]
