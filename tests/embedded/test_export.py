@@ -371,6 +371,8 @@ def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants
     readme = (exported("paper") / "README.txt").read_text()
     memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
     assert float(re.search(r"every (\S+) ms", readme)[1]) == pytest.approx(1000 * paper.DT_S)
+    assert "rhec_prepare_control(&r)" in readme and "rhec_control(&r, &omega)" in readme
+    assert "/* weights of x, y, theta */" in (exported("paper") / "rhec_memory.h").read_text()
     program = (
         '#include "rhec.h"\n'
         "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"

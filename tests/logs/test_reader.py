@@ -76,6 +76,16 @@ def test_numbers_with_a_comma_stand_in_quotes_where_commas_separate(tmp_path):
             lambda t: [f"2024-07-29T16:46:{second:06.3f}+02:00" for second in t],
             "ISO 8601",
         ),
+        (  # at the end of summer time
+            "t",
+            lambda t: [
+                f"2024-10-27T02:59:{s + 40:06.3f}+02:00"
+                if s < 15
+                else f"2024-10-27T01:59:{s + 40:06.3f}+01:00"
+                for s in t
+            ],
+            "ISO 8601",
+        ),
     ],
 )
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
@@ -83,7 +93,7 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     file, other = tmp_path / f"log.{suffix}", LOG.drop(columns="t_s")
     other.insert(0, name, of_seconds(T))
     if suffix == "parquet" and told == "ISO 8601":
-        other[name] = pd.to_datetime(other[name], format="ISO8601")
+        other[name] = pd.to_datetime(other[name], format="ISO8601", utc=True)
     (other.to_csv(file, index=False) if suffix == "csv" else other.to_parquet(file))
     log = rhec.logs.read(file)
     assert log.attrs["inferred"]["time"] == f"{told}, column {name}"

@@ -139,6 +139,8 @@ def test_tables_that_are_none(tmp_path):
         ((few, 0), "log was …cannot be read: …more entries than"),
         ((few, 60), "log was …cannot be read: …saw 6"),
         ((angles(5213.5, 4.3),), "the log's latitude is … should be in degrees"),
+        ((angles(90.2, 4.3),), "the log's latitude is 90.2 (median)"),
+        ((angles(52.1, 180.5),), "the log's longitude is 180.5 (median)"),
         ((angles(52.1, 43012.1),), "the log's longitude is … should be in degrees"),
         ((angles(521_000_000, 4.3),), "the log's latitude is … should be in degrees"),
     ]

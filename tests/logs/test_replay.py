@@ -290,6 +290,15 @@ def test_how_long_speeds_and_a_truth_are_held_and_from_when_on_a_robot_stands():
             assert samples[name].notna().all() == is_known, (name, gap_s)
 
 
+def test_a_truth_that_wraps_goes_on_over_its_jumps():
+    """Between rows, too, where a mean of both sides of a jump would be half a turn off."""
+    log = recorded_log(8.0, start_rad=3.0)
+    wrapped = log.assign(yaw_true_rad=np.angle(np.exp(1j * log["yaw_true_rad"])))
+    assert wrapped["yaw_true_rad"].diff().abs().max() > 6
+    yaws = [recording.prepare(each).samples()[0]["theta_rad"] for each in (log, wrapped)]
+    np.testing.assert_allclose(*(np.exp(1j * yaw) for yaw in yaws), atol=1e-9)
+
+
 def test_encoder_measurements_of_a_run_are_means_already(run):
     (samples,) = recording.prepare(run.log).samples()
     np.testing.assert_allclose(samples[MEASUREMENTS], run.log[MEASUREMENTS], atol=1e-9)

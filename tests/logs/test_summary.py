@@ -294,6 +294,10 @@ def test_the_noise_of_an_odometry_is_that_of_its_slip():
     samples[MEASUREMENTS[2:]] = np.column_stack([np.append(0, nu[:-1]), np.append(0, omega[:-1])])
     found = terms.noise(samples)
     np.testing.assert_allclose(found.drift, 0.2 * sigma**2, rtol=0.1)
+    # A slope has an interval from five blocks of 10 s on.
+    for seconds, is_told in ((39, False), (49, True)):
+        slopes = terms.slopes(samples[: 5 * seconds + 1])
+        assert np.isfinite(slopes).all() == is_told
 
 
 # How it was tested

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 import warnings
@@ -162,6 +163,8 @@ def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypa
         monkeypatch.setattr(campaigns, "simulate", slow)
         assert (rhec.campaign([SHORT], workers=1)["error"] == "").all()
         assert (0 in shown) == (seconds > 0)
+        timers = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
+        assert all(timer.finished.is_set() for timer in timers)
         assert not stream.getvalue().endswith("\n")
 
 
