@@ -1,5 +1,6 @@
 """What a log says at a glance: the traction with its interval, and when not to trust it."""
 
+import functools
 import json
 import re
 import textwrap
@@ -375,6 +376,23 @@ def test_what_a_check_warns_of_is_not_trusted(change, says):
     page = str(rhec.log(change(LOG))).splitlines()
     assert page[-2].startswith("Do not trust it yet: ") and says in page[-2]
     assert page[-1].startswith("Warnings: ") and says in page[-1].replace("The log", "the log")
+
+
+SHORTER = functools.partial(recorded_log, 5.0, noise_m=0.02, seed=3)
+# {doubt: (a log of an amount, what is said, an amount of which it is not, one of which it is)}
+DOUBTS = {
+    "μ": (lambda mu: LOG.assign(speed_mps=MU / mu * LOG["speed_mps"]), "no traction", 1.45, 1.55),
+    "σ": (lambda mu: LOG.assign(speed_mps=MU / mu * LOG["speed_mps"]), "σ is 4.", 1.3, 1.4),
+    "hidden positions": (lambda s: SHORTER(duration_s=s), "could be hidden", 36, 26),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTS)
+def test_a_doubt_begins_at_an_amount(doubt):
+    log_of, words, smaller, larger = DOUBTS[doubt]
+    for amount, is_said in ((smaller, False), (larger, True)):
+        doubts = rhec.log(log_of(amount), trust_log=True).doubts
+        assert any(words in each for each in doubts) == is_said, (amount, doubts)
 
 
 def test_a_note_is_no_warning():
