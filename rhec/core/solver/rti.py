@@ -42,7 +42,7 @@ def outer_inputs(phases, memory):
     }
 
 
-def chained(name, phases, memory, results, symbols, first=()):
+def chained(name, phases, memory, results, symbols, first):
     """Phases, one after the other, as one Function (memory, …) -> (memory, results …).
 
     Args:
