@@ -158,8 +158,6 @@ def test_columns_can_have_other_names(tmp_path):
     file = written(tmp_path, LOG.rename(columns=dict(x_m="east", speed_mps="v wheel ")))
     log = rhec.logs.read(file, columns=dict(x_m="east", speed_mps="v wheel"))
     np.testing.assert_array_equal(log[["x_m", "speed_mps"]], LOG[["x_m", "speed_mps"]])
-    with pytest.raises(ValueError, match=r"^columns\['x_m'\] was 'north'; the log has t_s, east"):
-        rhec.logs.read(file, columns=dict(x_m="north"))
 
 
 def degrees_of(log, latitude):
@@ -457,7 +455,3 @@ def test_the_multiplier_of_a_driver_is_undone(tmp_path):
     undone = rhec.logs.read(file, wheel_separation_multiplier=2.0)
     np.testing.assert_allclose(undone["yaw_rate_radps"], log["yaw_rate_radps"])
     assert rhec.doctor(undone).ok
-    with pytest.raises(ValueError, match="wheel_separation_multiplier was 2.0; it is of yaw_rate"):
-        rhec.logs.read(
-            written(tmp_path, log.drop(columns="yaw_rate_radps")), wheel_separation_multiplier=2.0
-        )
