@@ -28,7 +28,6 @@ _VERTEX_SIGMAS = 12.0
 _FORWARDS = 0.05  # of the largest speed: a speed never below minus this one has no sign
 _STANDS_S = 1.5  # about a cusp, within which the robot changes its direction
 _OUTLIER = 3.0  # times the farthest way by the encoders
-_ALONG_ONE_AXIS = 0.8  # mean length of (cos 2γ, sin 2γ) of a course γ that hardly varies
 
 
 def tried(hypotheses: tuple[Callable, ...], log: Any, best: Any) -> Iterator[tuple[Any, Any]]:
@@ -199,9 +198,6 @@ def _of_the_map(log, share):
     is_driven = np.hypot(steps[:, 0], steps[:, 1]) < _OUTLIER * np.abs(steps[:, 2]).max()
     dx, dy, n = steps[is_driven].T
     way = np.hypot(dx, dy)
-    course = np.angle(dx + 1j * dy)
-    if abs((way * np.exp(2j * course)).sum()) > _ALONG_ONE_AXIS * way.sum():
-        return None
     squares = n @ n
     b, left, *_ = np.linalg.lstsq(np.column_stack([dx, dy]), n)
     # Of a speed ahead the way explains all, whatever the course is.

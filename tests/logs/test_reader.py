@@ -1,6 +1,7 @@
 """Files of logs: what is found in a table's text, and ROS bags written with the library that reads
 them."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -359,6 +360,8 @@ def test_topics_are_chosen_or_found(many):
         log[["t_s", "x_m", "y_m"]].drop(index=50).T, np.delete([t, x, y], 50, 1), atol=2e-3
     )
     assert np.isnan(log["x_m"][50]) and (log["speed_mps"] == speed).all()
+    others = log.attrs["inferred"]["other topics"]
+    assert re.findall(r"/\w+(?= \()", others) == ["/cmd", "/odom", "/pose"]
     log = rhec.logs.read(file, topics=["/pose", "/odom"])
     pose_rows = log.dropna(subset="x_m")
     np.testing.assert_allclose(pose_rows[["x_m", "y_m"]].T, [x, y], atol=1e-12)
