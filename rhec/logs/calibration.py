@@ -15,7 +15,6 @@ What else may be true of a log is a table of hypotheses, tried one after the oth
 | the defaults predict better | the defaults are kept | hidden positions are 1.05 times as near |
 """
 
-import dataclasses
 import itertools
 from typing import Any, NamedTuple
 
@@ -459,5 +458,4 @@ def _usable(recording):
             "a robot that hardly moves cannot be calibrated"
         )
     rows = recording.rows
-    rows = rows[rows["segment"].isin(usable)].reset_index(drop=True)
-    return dataclasses.replace(recording, rows=rows)
+    return recording.with_rows(rows[rows["segment"].isin(usable)].reset_index(drop=True))

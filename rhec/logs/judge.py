@@ -5,8 +5,6 @@ knows, its standard deviations are made larger by one factor (`inflation`), as B
 with those of measurements that scatter more than they say.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 
@@ -54,7 +52,7 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
         is_hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
         masked = rows.copy()
         masked.loc[is_hidden, MEASUREMENTS[:2]] = np.nan
-        samples = estimate(replace(recording, rows=masked))
+        samples = estimate(recording.with_rows(masked))
         sample_s = samples["t_s"] - samples["segment"].map(first_s)
         off = samples[ESTIMATE[:2]].to_numpy() - shown
         limits = _BOTH * np.hypot(samples[SIGMA[:2]].to_numpy(), sigma_v[:2])

@@ -94,6 +94,10 @@ class Recording:
         """Standard deviation of the white noise of the robot's positions [m]."""
         return position_sigma_m(self.rows)
 
+    def with_rows(self, rows):
+        """The Recording with other rows."""
+        return dataclasses.replace(self, rows=rows)
+
     def samples(self):
         """The samples, a DataFrame for each segment, as of `resample`."""
         parts = []
@@ -162,7 +166,7 @@ def delayed(recording, position_delay_s):
     rows = recording.rows.copy()
     positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
     rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
-    return dataclasses.replace(recording, rows=rows)
+    return recording.with_rows(rows)
 
 
 def prepare_for(model, dt_s, log, delays_s=None):

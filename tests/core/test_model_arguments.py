@@ -41,6 +41,29 @@ def test_a_model_that_only_a_controller_sees_needs_no_outputs(virtual_machine):
 
 
 @pytest.mark.parametrize(
+    "output, sigma_held",
+    [
+        (dict(outputs=("x_m", "v_mps")), 10 * 0.05),
+        (dict(outputs=("x_m", "wheel_radps"), h=lambda x, u, p: p[0] + 2 * u), 1.0),
+    ],
+)
+def test_an_input_that_is_not_measured_is_the_last_one_and_ten_sigma_or_one(
+    virtual_machine, output, sigma_held
+):
+    """Ten of its own output's; one in its unit where only another output tells of it."""
+    noise = dict(sigma_v=[0.02, 0.05], sigma_w=[1e-3, 1e-3], guess=[0, 0.5], sigma_guess=[1, 1])
+    silent, told = (
+        rhec.EKF(model=model_with(**output, **held), dt=0.1, **noise)
+        for held in ({}, dict(sigma_held=dict(v_mps=sigma_held)))
+    )
+    for z in ([0.0, 0.5], [0.1, np.nan], [np.nan, np.nan]):
+        expected = told.step(z)
+        found = silent.step(z)
+        np.testing.assert_array_equal(found.covariance, expected.covariance)
+    assert found.covariance[0, 0] > 1e-3
+
+
+@pytest.mark.parametrize(
     "bounds, noise_in_window", [(None, True), (dict(x=(0.0, 5.0)), False)], ids=str
 )
 def test_an_estimator_of_a_model_without_inputs(virtual_machine, bounds, noise_in_window):

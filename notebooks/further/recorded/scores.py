@@ -3,8 +3,6 @@
 Perturbed replays add noise, a wrong initial yaw and sensor faults to a log.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 
@@ -235,7 +233,7 @@ def _perturbed(
         first = rows.groupby("segment")["theta_rad"].first()
         yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
-    recording = replace(recording, rows=rows)
+    recording = recording.with_rows(rows)
     scenario = replay_scenario(estimator, recording, fields)
     samples = recording.samples()
     for part in samples:
