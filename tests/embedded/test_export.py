@@ -162,6 +162,7 @@ def test_the_closest_point_equals_path_project():
         rhec.Path.from_segments([(5.0, -0.3), (2.0, 0.0)]),
     ):
         xy = rng.uniform(-20, 40, (300, 2))
+        xy[0] = target.segments[0, 1:3]  # its beginning, which is the end of a racetrack, too
         estimates = np.column_stack([xy, np.zeros((300, 4))]).T
         found = exported_functions.closest(len(target.segments))(
             estimate=estimates, segments=target.segments.T, length_m=target.length_m
