@@ -434,6 +434,10 @@ def test_an_estimate_that_has_seen_the_encoders_is_no_position(tmp_path):
     with pytest.raises(ValueError, match="those of /odometry/filtered, an estimate that has seen"):
         rhec.logs.read(file)
     assert rhec.logs.read(file, topics=("/odometry/filtered", "/wheels"))["x_m"].tolist() == [1]
+    fields = dict(speed_mps="/wheels.twist.linear.x", yaw_rate_radps="/wheels.twist.angular.z")
+    speeds_alone = rhec.logs.read(file, columns=fields)
+    assert [*speeds_alone] == ["t_s", *fields]
+    assert "that has seen the encoders" in speeds_alone.attrs["inferred"]["positions"]
 
 
 def test_a_path_serves_where_a_log_does(tmp_path):
