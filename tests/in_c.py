@@ -22,6 +22,8 @@ class InC:
             subprocess.run([*compiler, *sources, "-lm", "-o", out], check=True)
         self.library = ctypes.CDLL(str(out))
         sizes = (folder / "rhec_memory.h").read_text()
+        settings = sizes.split("struct rhec_settings {")[1].split("}")[0].strip().splitlines()
+        assert all(line.endswith(" */") for line in settings)  # a comment says what each is
         size = int(sizes.split("RHEC_MEMORY_BYTES ")[1].split()[0])
         self.memory = ctypes.create_string_buffer(size)
         self.begin(guess)

@@ -27,6 +27,8 @@ _MEANING = {
     "linear": "linear prices of soft bounds",
     "quadratic": "quadratic prices of soft bounds",
     "c": "constants of noise that grows with the motion",
+    "m_0": "state of a restart where the model has no slopes",
+    "P_0": "variances of a restart",
 }
 _MEANING_ON_A_PATH = _MEANING | {
     "V": "variances of measured x, y [m^2], nu [m^2/s^2], omega [rad^2/s^2], then of sensors",
@@ -39,8 +41,6 @@ _MEANING_ON_A_PATH = _MEANING | {
     "R": "weight of omega",
     "lower": "lower bound of the command omega [rad/s]",
     "upper": "upper bound of the command omega [rad/s]",
-    "m_0": "state of a restart where the model has no slopes",
-    "P_0": "variances of a restart",
     "mean_traction": "constant mu, kappa of the estimator",
 }
 # CasADi branches on flags by a cast to int, which C leaves undefined for numbers that no int can

@@ -87,7 +87,7 @@ class Export(NamedTuple):
     guess: np.ndarray  # initial guess of the estimator; (x, y, θ, ν, μ, κ) for a scenario
     macros: dict  # {name in C: (value, comment)}
     # Of each entry of the estimate the place of its variance in the covariance, -1 without one.
-    variances: tuple = ()
+    variances: tuple
     inflation: float = 1.0  # factor of the standard deviations
 
     @property
@@ -96,7 +96,7 @@ class Export(NamedTuple):
         return "HEADINGS" in self.macros
 
 
-def export(scenario, estimator_only=False):
+def export(scenario, estimator_only):
     """Return the Export of a scenario's estimator and, as a rule, its controller and path."""
     setup = closed_loop.set_up(scenario)
     choice = Choice.of(scenario)
@@ -263,7 +263,7 @@ def export_model(rhe=None, rhc=None):
     return _export(phases, settings, guess, macros, variances)
 
 
-def _export(phases, settings, guess, macros, variances=()):
+def _export(phases, settings, guess, macros, variances):
     """Return the Export of bound phases, with the memory and the settings that they use."""
     memory = {}
     used = set()

@@ -316,7 +316,7 @@ def _why_recorder(readings):
         if each.rows:
             late_ns = np.subtract(each.received_ns, each.stamps_ns)
             late_s[each.topic] = 1e-9 * float(np.median(late_ns))
-    apart_s = max(late_s.values(), default=0.0) - min(late_s.values(), default=0.0)
+    apart_s = np.ptp([*late_s.values()] or [0.0])
     if apart_s > _ONE_CLOCK_S:
         return f"the headers of {' and '.join(late_s)} have clocks {apart_s:.3g} s apart"
     return ""

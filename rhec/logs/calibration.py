@@ -31,10 +31,11 @@ from rhec.logs.filtering import Loss
 from rhec.logs.judge import HIDDEN_S, hidden_errors
 from rhec.logs.likelihood import Z_95, Calibration, Likelihood, Unknown, normal_report
 from rhec.logs.model_calibration import calibrate_model
+from rhec.logs.motion import LEAST_TURNED_RAD, turned_rad
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import LEAST_TURNED_RAD, Recording, delayed, prepare, turned_rad, with_ages
+from rhec.logs.recording import Recording, delayed, prepare, with_ages
 from rhec.logs.replay import InitialGuess, estimate_samples, refuse_with_model, replay_scenario
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, measured_of
 from rhec.simulation.scenario import Scenario
@@ -70,8 +71,7 @@ _APART_S = 4.0
 _LEAST_APART = 40
 _WANDERS = 1.5  # times the noise of all positions
 _DELAYS_S = np.linspace(-0.6, 0.6, 13)  # of the positions, that are tried
-_SMALL_DELAY_S = 0.1  # a smaller one changes no fit
-_LATE_S = 0.1  # a larger one is made up for
+_LATE_S = 0.1  # a smaller delay changes no fit, and is not made up for
 _LOSS_OF_NOTHING = 1e6  # of a sample at which the filter diverged
 # The arguments of `rhec.replay` that a calibration determines, besides the lever arm.
 _OF_SENSORS = tuple(sensor.sigma for sensor in sensors.SENSORS.values())
@@ -307,7 +307,7 @@ def _delay(log, fit):
     there is a second fit, with the delay by the path alone, and the likelier one counts.
     """
     by_path_s = likeliest_delay(log.recording)
-    if abs(by_path_s - fit.delay_s) > _SMALL_DELAY_S:
+    if abs(by_path_s - fit.delay_s) > _LATE_S:
         late = _fitted(log, by_path_s)
         if late.likelihood.objective(late.x) < fit.likelihood.objective(fit.x):
             fit = late
@@ -458,4 +458,4 @@ def _usable(recording):
             "a robot that hardly moves cannot be calibrated"
         )
     rows = recording.rows
-    return recording._replace(rows=rows[rows["segment"].isin(usable)].reset_index(drop=True))
+    return recording.with_rows(rows[rows["segment"].isin(usable)].reset_index(drop=True))

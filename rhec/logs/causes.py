@@ -15,7 +15,7 @@ import pandas as pd
 
 from rhec.logs.finding import passed, refused
 from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.recording import Recording
 from rhec.simulation.columns import MEASUREMENTS
 
 _X, _Y, _NU, _OMEGA = MEASUREMENTS
@@ -28,7 +28,6 @@ _VERTEX_SIGMAS = 12.0
 _FORWARDS = 0.05  # of the largest speed: a speed never below minus this one has no sign
 _STANDS_S = 1.5  # about a cusp, within which the robot changes its direction
 _OUTLIER = 3.0  # times the farthest way by the encoders
-_ALONG_ONE_AXIS = 0.8  # mean length of (cos 2γ, sin 2γ) of a course γ that hardly varies
 
 
 def tried(hypotheses: tuple[Callable, ...], log: Any, best: Any) -> Iterator[tuple[Any, Any]]:
@@ -50,10 +49,13 @@ def tried(hypotheses: tuple[Callable, ...], log: Any, best: Any) -> Iterator[tup
 class _Log(NamedTuple):
     """What is to be explained."""
 
-    rows: pd.DataFrame
-    width_m: float
-    columns: dict  # {name in the rows: column of the log}
+    recording: Recording
     kappa: float  # of the log as it is, at least 0
+
+    @property
+    def rows(self):
+        """The rows of the Recording."""
+        return self.recording.rows
 
 
 def explained(rows):
@@ -62,7 +64,7 @@ def explained(rows):
     Of the lengths of intervals that counts which explains most. None for a short log.
     """
     tracks = tracks_of(rows)
-    compared = [compare(tracks, length_s, 0.0) for length_s in LENGTHS_S] if tracks else []
+    compared = [compare(tracks, length_s, 0.0) for length_s in LENGTHS_S]
     shares = [(mu, kappa, 1 - left.sum() / 2) for mu, kappa, left in filter(None, compared)]
     return max(shares, key=lambda each: each[2], default=None)
 
@@ -75,7 +77,7 @@ def _one_side(sign):
 
     def undone(log):
         nu = log.rows[_NU]
-        half_m = log.width_m / 2
+        half_m = log.recording.track_width_m / 2
         turned = {_NU: sign * half_m * log.rows[_OMEGA], _OMEGA: sign * nu / half_m}
         return log.rows.assign(**turned)
 
@@ -137,7 +139,7 @@ def _vertices(log):
     `turn` is that of the course at a corner [rad]. At a cusp the robot changes its direction: there
     the course turns by half a turn more or less than the robot does by its encoders.
     """
-    least_m = max(_VERTEX_M, _VERTEX_SIGMAS * position_sigma_m(log.rows))
+    least_m = max(_VERTEX_M, _VERTEX_SIGMAS * log.recording.noise_m)
     parts = []
     for track in tracks_of(log.rows):
         kept = [0]
@@ -158,9 +160,9 @@ def _vertices(log):
 def _never_turns(log, share):
     """A yaw rate that never changes while the path turns."""
     omega = log.rows[_OMEGA].dropna()
-    are_tracks = log.columns[_OMEGA] == log.columns[_NU]
+    are_tracks = log.recording.columns[_OMEGA] == log.recording.columns[_NU]
     # That of tracks is their difference over a width that may be wrong.
-    if np.ptp(omega) * (log.width_m if are_tracks else 1.0) > _EMPTY:
+    if np.ptp(omega) * (log.recording.track_width_m if are_tracks else 1.0) > _EMPTY:
         return None
     if log.rows[_NU].abs().max() < _EMPTY:  # a robot that stands
         return None
@@ -169,7 +171,7 @@ def _never_turns(log, share):
     turns_rad = float(course.groupby(vertices["segment"]).agg(np.ptp).max()) if len(course) else 0.0
     if turns_rad < _TURNS_RAD:
         return None
-    column = log.columns[_OMEGA]
+    column = log.recording.columns[_OMEGA]
     but = f"in all rows, but the path turns by {turns_rad:.2g} rad"
     if are_tracks:
         fact = f"the log's {column} are as fast as each other {but}: both are of one track"
@@ -196,9 +198,6 @@ def _of_the_map(log, share):
     is_driven = np.hypot(steps[:, 0], steps[:, 1]) < _OUTLIER * np.abs(steps[:, 2]).max()
     dx, dy, n = steps[is_driven].T
     way = np.hypot(dx, dy)
-    course = np.angle(dx + 1j * dy)
-    if abs((way * np.exp(2j * course)).sum()) > _ALONG_ONE_AXIS * way.sum():
-        return None
     squares = n @ n
     b, left, *_ = np.linalg.lstsq(np.column_stack([dx, dy]), n)
     # Of a speed ahead the way explains all, whatever the course is.
@@ -206,7 +205,7 @@ def _of_the_map(log, share):
     if not len(left) or left[0] > min((1 - _GOOD) * squares, of_way * squares / _BETTER):
         return None
     return share, refused(
-        f"the log's {log.columns[_NU]} is the speed along a fixed direction of the map, "
+        f"the log's {log.recording.columns[_NU]} is the speed along a fixed direction of the map, "
         f"{np.angle(b[0] + 1j * b[1]):.2g} rad from the x axis, not the speed ahead",
         "twist_of_the_map",
         "Log the twist in the frame of the robot (its child_frame_id), or turn it by the yaw.",
@@ -226,7 +225,9 @@ def _undone(undo, fact, remedy):
         found = None if rows is None else explained(rows)
         if not found or found[1].value <= 0 or found[2] <= max(_GOOD, 1 - (1 - share) / _BETTER):
             return None
-        named = fact.format(speed=log.columns[_NU], yaw_rate=log.columns[_OMEGA])
+        named = fact.format(
+            speed=log.recording.columns[_NU], yaw_rate=log.recording.columns[_OMEGA]
+        )
         told = (
             f"{named}: so the encoders explain {found[2]:.0%} of the path, and as they are "
             f"{max(share, 0):.0%}"
@@ -283,8 +284,7 @@ def find(recording):
         _, slope, share = as_it_is
         if share > _GOOD:
             return
-        kappa = max(slope.value, 0.0)
-        log = _Log(recording.rows, recording.track_width_m, recording.columns, kappa)
+        log = _Log(recording, max(slope.value, 0.0))
         found = [*islice(tried(_HYPOTHESES, log, share), 1)]
     for _, finding in found:
         yield finding

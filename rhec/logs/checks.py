@@ -17,19 +17,11 @@ import numpy as np
 from rhec.core._casadi.validation import Positive, Real, checked
 from rhec.logs import causes
 from rhec.logs.finding import Finding, Severity, note, refused, warning
+from rhec.logs.motion import LEAST_TURNED_RAD, MOVING, moves, period_s, travelled, turned_rad
 from rhec.logs.path_checks import check_clock_offset, check_path
-from rhec.logs.position_noise import LEAST_M, declared_m, position_sigma_m
+from rhec.logs.position_noise import LEAST_M, declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import (
-    LEAST_TURNED_RAD,
-    Recording,
-    delayed,
-    moves,
-    period_s,
-    prepare,
-    travelled,
-    turned_rad,
-)
+from rhec.logs.recording import Recording, delayed, prepare
 from rhec.logs.sensor_checks import check_sensors
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -37,7 +29,6 @@ _X, _Y, _NU, _OMEGA = MEASUREMENTS
 _POSITION = [_X, _Y]
 _WINDOW_S = 5.0  # in which an encoder counts as dead
 _LONGEST_GAP_S = 5.0  # without positions or encoders, of a moving robot
-_DRIVING_MPS = 0.05
 _MOST_UNUSABLE = 0.01  # share of rows whose time cannot be used
 _LEAST_HELD = 5  # positions that repeat the one before
 _MOST_SPIKES = 0.02  # share of the values of an encoder
@@ -63,7 +54,7 @@ def facts(recording: Recording) -> dict:
         positions_usable=counting / max(counting + faults["positions_flagged"], 1),
         positions_hz=_rate_hz(rows, _X),
         encoders_hz=_rate_hz(rows, _NU),
-        position_sigma_m=position_sigma_m(rows),
+        position_sigma_m=recording.noise_m,
         declared_sigma_m=declared_m(rows),
         driven_m=travelled(rows, _NU),
         turned_rad=travelled(rows, _OMEGA),
@@ -175,7 +166,7 @@ def _check_silence(recording):
     place = rows.groupby("segment")[_POSITION].ffill()
     at_encoders = place.where(rows[_NU].notna()).groupby(rows["segment"]).ffill()
     is_carried = _lengths(place - at_encoders) > _MOVED_M
-    drives = rows[_NU].abs() > _DRIVING_MPS
+    drives = rows[_NU].abs() > MOVING
     silent = (("positions", _X, drives), ("encoder speeds", _NU, is_carried))
     for what, column, sees_motion in silent:
         gap_s = _silence_s(rows, column)[sees_motion].max()
@@ -277,7 +268,7 @@ def _check_encoders(recording):
     if not step_s:
         return
     n = max(round(_WINDOW_S / step_s), 3)
-    sigma_m = position_sigma_m(rows)
+    sigma_m = recording.noise_m
     there = rows.assign(**rows.groupby("segment")[_POSITION].ffill())[rows[_NU].notna()]
     nu = there[_NU]
     is_recorded = there["t_s"].diff(n).between(0, 2 * _WINDOW_S)  # without a pause
@@ -313,7 +304,7 @@ def _check_encoders(recording):
 def _check_jumps(recording):
     """Find positions farther apart than the robot drives, and a robot moved in a pause."""
     rows = recording.rows
-    noise_m = 8 * position_sigma_m(rows)
+    noise_m = 8 * recording.noise_m
     steps = _steps(rows)
     way_m = _lengths(steps)
     pauses = (rows.groupby("segment")["t_s"].diff() > _SILENT_S).cumsum()
@@ -407,9 +398,20 @@ def doctor(
     Raises:
         ValueError: If there is a path, and its file cannot be read.
     """
-    log = read_if_path(log)
+    _, diagnosis = diagnosed(read_if_path(log), track_width_m, position_delay_s)
+    return diagnosis
+
+
+def diagnosed(
+    log: Any, track_width_m: float | None, position_delay_s: float
+) -> tuple[Recording | None, Diagnosis]:
+    """The Recording of a log, with positions at their time stamps or None, and its Diagnosis.
+
+    The arguments are those of `doctor`, with a log that was read.
+    """
     try:
-        recording = delayed(prepare(log, track_width_m), position_delay_s)
+        recording = prepare(log, track_width_m)
     except ValueError as error:
-        return Diagnosis((refused(str(error), "unusable"),), {})
-    return Diagnosis(tuple(findings(recording)), facts(recording))
+        return None, Diagnosis((refused(str(error), "unusable"),), {})
+    in_time = delayed(recording, position_delay_s)
+    return recording, Diagnosis(tuple(findings(in_time)), facts(in_time))

@@ -23,13 +23,13 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.logs.motion import MOVING
 from rhec.simulation.columns import ACCEPTED, ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.sensors import GYRO
 
 SIGMA_BY_COURSE = "sigma_by_course_rad"  # of a sample: what its yaw's σ has by the course
 UNSURE_YAW_RAD = 0.25  # standard deviation of a yaw that is not known
 _OFTEN = 0.1  # share of the samples
-_MOVING_MPS = 0.05
 _SPEEDS = MEASUREMENTS[2:]
 
 
@@ -150,7 +150,7 @@ def unknown_yaw(samples):
     Args:
         samples: DataFrame of a replay's samples.
     """
-    moving = samples[samples[MEASUREMENTS[2]].abs() > _MOVING_MPS]
+    moving = samples[samples[MEASUREMENTS[2]].abs() > MOVING]
     is_unsure = moving[SIGMA[2]] > UNSURE_YAW_RAD
     if not is_unsure.mean() > _OFTEN:
         return None

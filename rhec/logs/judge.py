@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
-from rhec.logs.recording import moves
+from rhec.logs.likelihood import Z_95
+from rhec.logs.motion import moves
 from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, SIGMA
 
 HIDDEN_S = 10.0
@@ -17,8 +18,7 @@ _EVERY_S = 30.0  # in which positions are hidden for HIDDEN_S
 _LEAST_AFTER_S = 5.0  # since the last position; a shorter time tests nothing
 _FROM_M = 8.0  # distance driven in a segment from which on the yaw has converged
 _COVERED = 0.95  # share of the errors that should be within
-_ANGLE = 1.96  # standard deviations of a yaw, or of
-_BOTH = 2.236  # both coordinates of a position
+_BOTH = 2.236  # standard deviations that hold 95 % of both coordinates of a position
 
 
 def _settled(samples):
@@ -52,7 +52,7 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
         is_hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
         masked = rows.copy()
         masked.loc[is_hidden, MEASUREMENTS[:2]] = np.nan
-        samples = estimate(recording._replace(rows=masked))
+        samples = estimate(recording.with_rows(masked))
         sample_s = samples["t_s"] - samples["segment"].map(first_s)
         off = samples[ESTIMATE[:2]].to_numpy() - shown
         limits = _BOTH * np.hypot(samples[SIGMA[:2]].to_numpy(), sigma_v[:2])
@@ -101,7 +101,7 @@ def judge(recording, estimate, smoothed, sigma_v):
     counts = _settled(samples) & smoothed[ESTIMATE[2]].notna()
     yaw = ESTIMATE[2]
     apart = ((samples[yaw] - smoothed[yaw] + np.pi)[counts] % (2 * np.pi) - np.pi).abs()
-    ratio = apart / (_ANGLE * samples[SIGMA[2]][counts])
+    ratio = apart / (Z_95 * samples[SIGMA[2]][counts])
     factor = inflation(hidden["ratio"], ratio)
     numbers = dict(
         hidden=len(hidden),

@@ -71,7 +71,7 @@ class Likelihood(NamedTuple):
         """The losses (n,) of the samples of each segment at x."""
         losses = [recorded["loss"] for recorded in self.filtered(x)]
         if self.counts:
-            losses = [np.where(counts, loss, 0.0) for counts, loss in zip(self.counts, losses)]
+            losses = [counts * loss for counts, loss in zip(self.counts, losses)]
         return losses
 
     def objective(self, x):
@@ -115,10 +115,15 @@ def posterior_covariance(objective, x):
     return vectors / np.clip(values, 1.0, None) @ vectors.T
 
 
+def normal_interval(mean, sigma):
+    """The mean, and the limits of its 95 % interval."""
+    return mean, mean - Z_95 * sigma, mean + Z_95 * sigma
+
+
 def normal_report(name, unit, mean, sigma, is_determined):
     """The report of a Calibration on one parameter, by its mean and standard deviation."""
-    row = dict(value=mean, low=mean - Z_95 * sigma, high=mean + Z_95 * sigma, unit=unit)
-    return pd.DataFrame(row | dict(determined=bool(is_determined)), index=[name])
+    row = dict(zip(("value", "low", "high"), normal_interval(mean, sigma)))
+    return pd.DataFrame(row | dict(unit=unit, determined=bool(is_determined)), index=[name])
 
 
 class Calibration(dict):

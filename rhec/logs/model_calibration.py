@@ -18,7 +18,6 @@ from rhec.logs import filtering
 from rhec.logs.filtering import Loss
 from rhec.logs.likelihood import Calibration, Likelihood, Unknown, normal_report
 from rhec.logs.recording import prepare_for, with_ages
-from rhec.logs.replay import samples_for
 
 _PRIOR = np.log(3.0)  # standard deviation of the logarithm of a standard deviation
 _NEEDED = ("dt", "sigma_v", "sigma_w", "guess", "sigma_guess")
@@ -97,8 +96,7 @@ def _check_arguments(model, arguments):
 def _streams(log, model, dt_s, delays_s):
     """Measurements and their ages of each segment of a log, as of `recording.with_ages`."""
     recording = prepare_for(model, dt_s, log, delays_s)
-    parts = samples_for(model, dt_s, recording)
-    segments = [with_ages(part, [*model.outputs]) for part in parts]
+    segments = [with_ages(part, [*model.outputs]) for part in recording.samples()]
     outputs = [output.row for output in robot_model.interval(model).outputs]
     n = sum(np.isfinite(stream[:, outputs]).any(axis=1).sum() for stream in segments)
     if n < _LEAST_SAMPLES:

@@ -255,9 +255,8 @@ def positions_are_late(motion):
 
 def _cause(slope, check):
     """The cause of a _Slope that is significantly out of range; None if it is in range."""
-    limits = [-np.inf, *check.causes]
     high = next(limit for limit in check.causes if check.causes[limit] is None)
-    low = limits[limits.index(high) - 1]
+    low = max(limit for limit in check.causes if limit < high)
     error = _STANDARD_ERRORS * slope.sigma
     is_outside = slope.value + error <= low or slope.value - error > high
     if slope.share < check.least_share or not is_outside:

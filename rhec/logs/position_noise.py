@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from rhec import paper
 from rhec.logs.column_names import DECLARED
-from rhec.logs.recording import moves
+from rhec.logs.motion import moves
 from rhec.simulation.columns import MEASUREMENTS
 
 LEAST_M = paper.SIGMA_V[0]  # a smaller noise is not told apart from the errors of the model

@@ -103,8 +103,7 @@ def read(
     log = _in_metres(log, inferred)
     if wheel_separation_multiplier is not None:
         log = _without_multiplier(log, wheel_separation_multiplier, inferred)
-    log.attrs.pop("begin_s", None)
-    log.attrs["inferred"] = inferred
+    log.attrs = dict(inferred=inferred)
     return log
 
 

@@ -12,7 +12,8 @@
   positions jump by a kilometre and stay there, as in another zone of UTM.
 """
 
-from typing import NamedTuple
+import dataclasses
+import functools
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,8 @@ from rhec import paper
 from rhec.core._casadi.validation import shown
 from rhec.logs.column_names import DECLARED, missing_columns
 from rhec.logs.finding import passed
+from rhec.logs.motion import MOVING, period_s
+from rhec.logs.position_noise import position_sigma_m
 from rhec.simulation.columns import (
     MEANS,
     MEASUREMENTS,
@@ -39,13 +42,7 @@ _POSITION = MEASUREMENTS[:2]
 _ENCODERS = MEASUREMENTS[2:]
 # How old the position of a row is [s], in recordings with a delay that is made up for.
 POSITION_AGE = "position_age_s"
-# What a sample has as its newest measurement; of MEANS it has the mean over its interval.
-_MEASURED = (*MEASUREMENTS, *SENSORS.values())
 _FLAGS = {"pos_ok": _POSITION, "encoders_ok": _ENCODERS}  # these are missing where it is false
-LEAST_TURNED_RAD = 6.0  # by the encoders; a log that turns less does not determine κ
-_TURNING_S = 4.0  # turns are summed over such windows, in which the encoders' noise cancels
-_MOVING = 0.05  # encoder speed of a moving robot [m/s, rad/s]
-_TURNING_RADPS = 0.05  # a lower yaw rate does not determine the track width
 # Times in sampling periods of the estimator:
 MAX_PERIOD = 1.25  # largest median period of a log; slower logs are refused
 _TRUTH_GAP = 1.75  # longer gaps between true poses are not interpolated
@@ -68,14 +65,8 @@ _SHORTEST_S = 0.004  # shortest median period of a log
 _SAME_S = 1e-3  # times that differ by less are equal
 
 
-class Timing(NamedTuple):
-    """When the columns of a log were measured, each at a rate and with a delay of its own."""
-
-    delays_s: dict  # {column: delay of its time stamps [s]}
-    gaps_s: dict  # {mean: longest time over which a measurement is held or interpolated [s]}
-
-
-class Recording(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
     """A log that is ready to be resampled."""
 
     rows: pd.DataFrame  # its usable rows: segment, t_s, measurements, truth, named as in a run
@@ -85,18 +76,33 @@ class Recording(NamedTuple):
     width_source: str  # of the track width, as part of a sentence
     faults: dict  # {reason: number of unusable rows or measurements}
     columns: dict  # {column of `rows`: column of the log}
-    timing: Timing | None = None  # of a Model's log
+    dt_s: float = paper.DT_S  # length of a sample
+    # A sample has the newest measurement of these, and of `means` the mean over its interval.
+    measured: tuple = (*MEASUREMENTS, *SENSORS.values())
+    means: tuple = tuple(MEANS)
+    delays_s: dict = dataclasses.field(default_factory=dict)  # {column: of its time stamps [s]}
+    # Of a Model's log {mean: longest time over which a measurement is held or interpolated [s]}.
+    gaps_s: dict | None = None
 
     @property
     def sensors(self):
         """The sensors besides GNSS and encoders, names of `columns.SENSORS`."""
         return tuple(name for name, column in SENSORS.items() if column in self.rows)
 
+    @functools.cached_property
+    def noise_m(self):
+        """Standard deviation of the white noise of the robot's positions [m]."""
+        return position_sigma_m(self.rows)
+
+    def with_rows(self, rows):
+        """The Recording with other rows."""
+        return dataclasses.replace(self, rows=rows)
+
     def samples(self):
-        """Samples of the paper's robot, a DataFrame for each segment, as of `resample`."""
+        """The samples, a DataFrame for each segment, as of `resample`."""
         parts = []
         for segment, rows in self.rows.groupby("segment"):
-            part = resample(rows, paper.DT_S, self.averaged)
+            part = resample(rows, self)
             part.insert(0, "segment", segment)
             parts.append(part)
         return parts
@@ -160,36 +166,7 @@ def delayed(recording, position_delay_s):
     rows = recording.rows.copy()
     positions = rows.groupby("segment", group_keys=False)[["t_s", *_POSITION]]
     rows[[*_POSITION, POSITION_AGE]] = positions.apply(_shift_positions, position_delay_s)
-    return recording._replace(rows=rows)
-
-
-def moves(rows):
-    """Whether the robot moves by its encoders in each row or sample, a Series."""
-    return (rows[_ENCODERS].abs() > _MOVING).any(axis=1)
-
-
-def travelled(rows, column, window_s=None):
-    """How far a robot moves in a log: Σ |speed · time|, or of the sums over windows.
-
-    The time is that since the last row in which this sensor measured, at most a second: rows of
-    other sensors in between do not count.
-
-    Args:
-        rows: Rows of a Recording.
-        column: Name of a speed [m/s] or yaw rate [rad/s].
-        window_s: Length of the windows [s], in which noise and motion to and fro cancel.
-    """
-    there = rows[rows[column].notna()]
-    step_s = there.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    moves = there[column] * step_s
-    if window_s:
-        moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
-    return float(moves.abs().sum())
-
-
-def turned_rad(rows):
-    """How far the tracks turn a robot in all, to the left and to the right, without their noise."""
-    return travelled(rows, _ENCODERS[1], _TURNING_S)
+    return recording.with_rows(rows)
 
 
 def prepare_for(model, dt_s, log, delays_s=None):
@@ -223,14 +200,20 @@ def prepare_for(model, dt_s, log, delays_s=None):
     gaps_s = {
         name: max(_ENCODER_GAP * dt_s, _OWN_PERIODS * period_s(rows, name)) for name in inputs
     }
-    timing = Timing(dict(delays_s), gaps_s)
-    return Recording(rows, places[usable], True, np.nan, "", faults, columns, timing)
-
-
-def period_s(rows, column):
-    """Median time between the measurements of a column [s]; 0 with fewer than two."""
-    step_s = rows[rows[column].notna()].groupby("segment")["t_s"].diff()
-    return float(step_s.median()) if step_s.notna().any() else 0.0
+    return Recording(
+        rows=rows,
+        places=places[usable],
+        averaged=True,
+        track_width_m=np.nan,
+        width_source="",
+        faults=faults,
+        columns=columns,
+        dt_s=dt_s,
+        measured=model.outputs,
+        means=tuple(inputs),
+        delays_s=delays_s,
+        gaps_s=gaps_s,
+    )
 
 
 # Columns
@@ -361,7 +344,7 @@ def _recorded_width(log):
     if {*TRACKS, yaw_rate} <= set(log.columns):
         left, right, omega = (_numbers(log, name) for name in (*TRACKS, yaw_rate))
         widths = pd.Series(right - left) / omega
-        width_m = float(widths[np.abs(omega) > _TURNING_RADPS].median())
+        width_m = float(widths[np.abs(omega) > MOVING].median())
         if width_m > 0:
             return width_m, f"by the log's {', '.join(TRACKS)} and {yaw_rate}"
     unknown = f"the paper's, because neither {passed('track_width_m')} nor track speeds tell it"
@@ -413,7 +396,7 @@ def _split_at_jumps(rows):
     # The positions that are compared are at most _ABOUT - 1 steps apart: where all steps are this
     # short none can be astray, and none is a jump.
     longest_step_m = np.abs(np.diff(there[_POSITION].to_numpy(), axis=0)).max(initial=0.0)
-    if longest_step_m <= min(_ASTRAY_M / (_ABOUT - 1), _FAR_M):
+    if longest_step_m <= _ASTRAY_M / (_ABOUT - 1):
         return 0, []
     about = there.groupby("segment")[_POSITION].transform(
         lambda place: place.rolling(_ABOUT, center=True, min_periods=1).median()
@@ -524,23 +507,19 @@ def _usable_times(t_s, segment, dt_s):
 # Samples
 
 
-def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None):
+def resample(rows, recording):
     """Resample the rows of one segment; a sample contains no later measurement.
 
     Args:
-        rows: Rows of one segment of a Recording.
-        dt_s: Sampling period [s]; the first sample is at the first row.
-        averaged: As in Recording.
-        measured: Names of the measurements. A sample has the newest one since the previous sample,
-            with its age [s] in the column `<name>_age_s`.
-        means: Names of the measurements that are means over the interval that ends at the sample,
-            such as a model's inputs.
-        timing: The Timing of these columns, if they have rates and delays of their own.
+        rows: Rows of one segment of the Recording; the first sample is at the first of them.
+        recording: The Recording.
 
     Returns:
         DataFrame with t_s, the measurements, and the truth: speeds as means over the interval, the
-        pose at the time of the sample.
+        pose at the time of the sample. A measurement that is no mean has its age [s] in the column
+        `<name>_age_s`.
     """
+    dt_s = recording.dt_s
     t = rows["t_s"].to_numpy()
     grid = t[0] + dt_s * np.arange(int((t[-1] - t[0] + _SAME_S) / dt_s) + 1)
     # A sample takes the exact time of a row that is closer than _SAME_S.
@@ -551,14 +530,11 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None)
     positions_s = t - np.nan_to_num(rows[POSITION_AGE].to_numpy()) if POSITION_AGE in rows else t
     for name in rows.columns.difference(["segment", "t_s", POSITION_AGE], sort=False):
         value = rows[name].to_numpy()
-        if name in (*means, *TRUE_SPEEDS):
-            is_mean = averaged and name in means
-            times_s, value, gap_s = _timed(name, t, value, timing, _ENCODER_GAP * dt_s)
-            result[name] = _means_since(before, at, times_s, value, is_mean, gap_s)
-        elif name in measured:
+        if name in (*recording.means, *TRUE_SPEEDS):
+            result[name] = means_of(rows, name, before, at, recording)
+        elif name in recording.measured:
             measured_s = positions_s if name in _POSITION else t
-            if timing:
-                measured_s = t - timing.delays_s.get(name, 0.0)
+            measured_s = measured_s - recording.delays_s.get(name, 0.0)
             newest = _newest_since(before, at, measured_s, value)
             result[name], result[f"{name}_age_s"] = newest
         else:
@@ -573,16 +549,22 @@ def resample(rows, dt_s, averaged, measured=_MEASURED, means=MEANS, timing=None)
     return pd.DataFrame(result)
 
 
-def _timed(name, t, value, timing, gap_s):
-    """Times and values of a column's measurements, and the longest time over which they hold [s].
+def means_of(rows, name, begin, end, recording):
+    """Means of a column over each (begin, end] [s], as of `_means_since`.
 
-    Without a Timing a missing value means that the interval since the row before is not covered.
-    With one, it means that this column was not measured in this row.
+    In a log of the paper's robot a missing value means that the interval since the row before is
+    not covered. In that of a Model it means that this column was not measured in this row.
     """
-    if timing is None:
-        return t, value, gap_s
-    there = np.isfinite(value)
-    return t[there] - timing.delays_s.get(name, 0.0), value[there], timing.gaps_s.get(name, gap_s)
+    t = rows["t_s"].to_numpy()
+    value = rows[name].to_numpy()
+    gap_s = _ENCODER_GAP * recording.dt_s
+    if recording.gaps_s is not None:
+        there = np.isfinite(value)
+        t = t[there] - recording.delays_s.get(name, 0.0)
+        value = value[there]
+        gap_s = recording.gaps_s.get(name, gap_s)
+    is_mean = recording.averaged and name in recording.means
+    return _means_since(begin, end, t, value, is_mean, gap_s)
 
 
 def with_ages(samples, measured):
@@ -600,17 +582,6 @@ def with_ages(samples, measured):
     ages_s = np.nan_to_num(ages_s.to_numpy(dtype=float))
     z[0, ages_s[0] > 0] = np.nan
     return np.hstack([z, ages_s])
-
-
-def measured_since(rows, begin_s, dt_s, averaged, means, timing=None):
-    """Means of measurements from the times begin_s [s] to the time of each row, as a DataFrame."""
-    t = rows["t_s"].to_numpy()
-    gap_s = _ENCODER_GAP * dt_s
-    columns = {}
-    for name in means:
-        times_s, value, longest_s = _timed(name, t, rows[name].to_numpy(), timing, gap_s)
-        columns[name] = _means_since(begin_s, t, times_s, value, averaged, longest_s)
-    return pd.DataFrame(columns)
 
 
 def _unwrapped(angle):

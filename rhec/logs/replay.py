@@ -32,17 +32,9 @@ from rhec.core.model.limits import is_valid_measurement
 from rhec.core.model.robot_model import Model, interval
 from rhec.logs.checks import refuse
 from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw, yaw_sigma_rad
-from rhec.logs.position_noise import declared_m, position_sigma_m
+from rhec.logs.position_noise import declared_m
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import (
-    POSITION_AGE,
-    delayed,
-    measured_since,
-    prepare,
-    prepare_for,
-    resample,
-    with_ages,
-)
+from rhec.logs.recording import POSITION_AGE, delayed, means_of, prepare, prepare_for, with_ages
 from rhec.logs.smoother import smoothed
 from rhec.simulation.columns import (
     ACCEPTED,
@@ -52,7 +44,6 @@ from rhec.simulation.columns import (
     HATS_OF_SENSORS,
     INNOVATION,
     LEVER_ARM,
-    MEANS,
     MEASUREMENTS,
     SENSORS,
     SIGMA,
@@ -122,10 +113,8 @@ class Replay(NamedTuple):
     hats: list  # their columns
     sigmas: list  # the columns of their standard deviations
     measured: list  # the columns of z
-    means: list  # those of them that are means over an interval
     structure: tuple  # the further arguments of `build_scan`
     settings: dict  # {name: array} of the estimator's step
-    timing: Any = None  # the Timing of the measurements, if they have rates of their own
 
     @property
     def window(self):
@@ -136,7 +125,7 @@ class Replay(NamedTuple):
         """What the scan records at a segment's samples, as a DataFrame.
 
         Args:
-            memory: (n,) of the estimator before the first sample, then the guess of `quantities`.
+            memory: (n,) of the estimator before the first sample, then a number for each quantity.
             stream: (samples, 2 n_z), as of `recording.with_ages`.
         """
         functions = compiled.load(build_scan, self.quantities, *self.structure)
@@ -161,8 +150,9 @@ class Replay(NamedTuple):
 def build_scan(names, gates, kind, *structure):
     """The scan of an estimator over a log.
 
-    Its memory is that of the estimator followed by the last estimate. A row of its stream is that
-    of `recording.with_ages`.
+    Its memory is that of the estimator followed by the last estimate, by which late measurements
+    are moved; before the first sample there is none. A row of its stream is that of
+    `recording.with_ages`.
 
     Args:
         names: Of what is recorded as the estimate, NaN where the estimator does not estimate it.
@@ -363,15 +353,13 @@ def replay_of(scenario):
         structure = ("rhe", window_of(choice)._replace(quantities=known))
     # The estimators of a replay do not receive the traction, except for the one that assumes 1.
     settings = estimator_of(choice.estimator).settings(scenario)
-    measured = measured_of(scenario.sensors)
     return Replay(
         model=model,
         dt_s=paper.DT_S,
         quantities=quantities,
         hats=[_HATS[name] for name in quantities],
         sigmas=[_SIGMAS[name] for name in quantities],
-        measured=measured,
-        means=[name for name in measured if name in MEANS],
+        measured=measured_of(scenario.sensors),
         structure=(POSITION_AND_ENCODERS, *structure),
         settings=settings,
     )
@@ -402,7 +390,7 @@ def first_memory_of(how, scenario, *of_guess):
     guess, sigma = first_guess(*of_guess)
     choice = Choice.of(scenario)
     memory = pack_array(estimator_of(choice.estimator).init(choice, guess, sigma))
-    return np.append(memory, [guess[name] for name in how.quantities])
+    return np.append(memory, np.zeros(len(how.quantities)))
 
 
 def _sigma_first(first):
@@ -494,7 +482,6 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
         DataFrame, one row for each sample of the estimator.
     """
     how = replay_of(scenario)
-    noise_m = position_sigma_m(recording.rows)
     samples = samples or recording.samples()
     parts = []
     for number, (part, used) in enumerate(zip(samples, used_samples(samples, scenario))):
@@ -507,7 +494,7 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
         part = pd.concat([part, estimates], axis=1)
         # A measured yaw tells it whatever the course is.
         has_yaw = sensors.rows_of_yaws(scenario.sensors)
-        by_course = 0.0 if has_yaw else yaw_sigma_rad(part, noise_m)
+        by_course = 0.0 if has_yaw else yaw_sigma_rad(part, recording.noise_m)
         if smooth:
             part = _smooth(how, part, stream, first)
         part[SIGMA_BY_COURSE] = by_course
@@ -543,7 +530,7 @@ def replay_scenario(estimator, recording, fields):
     used = recording.sensors if uses_all else getattr(estimator, "sensors", ())
     fields = dict(sensors=used) | fields
     if slips and fields.get("sigma_v") is None:
-        sigma_m = max(position_sigma_m(recording.rows), declared_m(recording.rows))
+        sigma_m = max(recording.noise_m, declared_m(recording.rows))
         fields["sigma_v"] = (sigma_m, sigma_m, *paper.SIGMA_V[2:])
     for name in fields.get("sensors", ()):
         if name in SENSORS and name not in recording.sensors:
@@ -584,8 +571,7 @@ def _replay_model(log, model, estimator, delays_s, arguments):
         memory = pack_array(rhe.init(live.window, mean, sigma))
     else:
         memory = live.first_memory
-    guess = dict(zip(model.joint_names, mean))
-    memory = np.append(memory, [guess.get(name, 0.0) for name in model.names])
+    memory = np.append(memory, np.zeros(len(model.names)))
     recording = prepare_for(model, dt_s, log, delays_s)
     how = Replay(
         model=model,
@@ -594,35 +580,18 @@ def _replay_model(log, model, estimator, delays_s, arguments):
         hats=[f"{name}_hat" for name in model.names],
         sigmas=[f"{name}_sigma" for name in model.names],
         measured=[*model.outputs],
-        means=_means_of(model),
         structure=((), *structure),
         settings=live.settings,
-        timing=recording.timing,
     )
     parts = [
         pd.concat([part, how.scanned(memory, with_ages(part, how.measured))], axis=1)
-        for part in samples_for(model, dt_s, recording)
+        for part in recording.samples()
     ]
     samples = pd.concat(parts, ignore_index=True)
     # The covariance is that of states and parameters.
     others = [f"{name}_sigma" for name in model.inputs]
     samples = samples.drop(columns=[*others, "deviance", "kkt_rhe"])
     return at_rows(samples.assign(ok=samples["ok"] == 1), recording, log, how)
-
-
-def samples_for(model, dt_s, recording):
-    """Samples of a Model, a DataFrame for each segment of its Recording."""
-    parts = []
-    for segment, rows in recording.rows.groupby("segment"):
-        part = resample(rows, dt_s, True, model.outputs, _means_of(model), recording.timing)
-        part.insert(0, "segment", segment)
-        parts.append(part)
-    return parts
-
-
-def _means_of(model):
-    """The outputs of a Model that measure inputs, means over an interval."""
-    return [model.outputs[row] for row in model.input_outputs.values()]
 
 
 # Rows of the log
@@ -643,7 +612,7 @@ def at_rows(samples, recording, log, how):
     parts = []
     for segment, rows in recording.rows.groupby("segment"):
         part = samples[samples["segment"] == segment].reset_index(drop=True)
-        parts.append(_at_rows_of_segment(part, rows, recording.averaged, how))
+        parts.append(_at_rows_of_segment(part, rows, recording, how))
     rows = pd.concat(parts, ignore_index=True)
     # The row of `rows` for each row of the log; -1 marks unusable rows.
     usable = np.full(len(log), -1)
@@ -655,14 +624,15 @@ def at_rows(samples, recording, log, how):
     return result
 
 
-def _at_rows_of_segment(samples, rows, averaged, how):
+def _at_rows_of_segment(samples, rows, recording, how):
     """`at_rows` of the samples and usable rows of one segment."""
     t = rows["t_s"].to_numpy()
     sampled = samples["t_s"].to_numpy()
     last = np.searchsorted(sampled, t, side="right") - 1
     tau = t - sampled[last]
     z = samples[how.measured].iloc[last].reset_index(drop=True)
-    z[how.means] = measured_since(rows, sampled[last], how.dt_s, averaged, how.means, how.timing)
+    for name in z.columns.intersection(recording.means):
+        z[name] = means_of(rows, name, sampled[last], t, recording)
     result = samples.iloc[last].reset_index(drop=True)
     predicted, _ = how.predict(result[how.hats].to_numpy(), z.to_numpy(), tau)
     result.loc[tau != 0, how.hats] = predicted[tau != 0]

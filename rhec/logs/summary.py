@@ -16,13 +16,14 @@ import pandas as pd
 from rhec.core._casadi.validation import Flag, Positive, Real, checked
 from rhec.logs import terms
 from rhec.logs.calibration import LOG_ARGUMENTS, calibrate_recorded
-from rhec.logs.checks import Diagnosis, doctor
+from rhec.logs.checks import Diagnosis, diagnosed
 from rhec.logs.course import SIGMA_BY_COURSE, unknown_yaw
 from rhec.logs.finding import Severity, passed
 from rhec.logs.judge import HIDDEN_S, judge
 from rhec.logs.likelihood import Calibration
+from rhec.logs.motion import LEAST_TURNED_RAD, turned_rad
 from rhec.logs.reader import read_if_path
-from rhec.logs.recording import LEAST_TURNED_RAD, Recording, delayed, prepare, turned_rad
+from rhec.logs.recording import Recording, delayed
 from rhec.logs.replay import InitialGuess, at_rows, estimate_samples, replay_of, replay_scenario
 from rhec.simulation.columns import MEASUREMENTS, RECORDED_TRUTH, SENSORS, SIGMA, SIGMAS_OF_SENSORS
 from rhec.simulation.scenario import Scenario
@@ -243,13 +244,11 @@ def log(
         ValueError: If there is a path, and its file cannot be read.
     """
     recorded = read_if_path(file)
-    diagnosis = doctor(recorded, track_width_m=track_width_m, position_delay_s=position_delay_s)
+    recording, diagnosis = diagnosed(recorded, track_width_m, position_delay_s)
     errors = [each for each in diagnosis.findings if each.severity is Severity.ERROR]
-    is_parsed = bool(diagnosis.facts)
-    if errors and not (trust_log and is_parsed):
+    if recording is None or (errors and not trust_log):
         verdict = f"No estimate: {errors[0].sentence} {errors[0].remedy}"
         return Summary(_taken(recorded), diagnosis, verdict)
-    recording = prepare(recorded, track_width_m)
     found = None
     fields = {}
     first = InitialGuess()

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 
 from rhec import paper
+from rhec.logs.likelihood import Z_95, normal_interval
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
 from rhec.tracked_robot.sensors import UNKNOWNS
 
 _STEP = 5  # samples between the estimates that are compared
 _BLOCK_S = 10.0  # length of the blocks that the jackknife leaves out
 _LEAST_BLOCKS = 5
-_Z = 1.96
 # The process noise that robot_localization has by default.
 _PROCESS = (0.05, 0.05, 0.06, 0.03, 0.03, 0.06, 0.025, 0.025, 0.04, 0.01, 0.01, 0.02)
 _PROCESS += (0.01, 0.01, 0.015)
@@ -76,7 +76,7 @@ def _moves(samples):
     for segment, part in samples.groupby("segment"):
         part = part[part[ESTIMATE[0]].notna()]
         x, y, yaw = part[ESTIMATE[:3]].to_numpy().T
-        ahead, left = part[LEVER_ARM].fillna(0).to_numpy().T
+        ahead, left = part[LEVER_ARM].to_numpy().T
         centre = x + 1j * y - (ahead + 1j * left) * np.exp(1j * yaw)
         step = np.diff(centre) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
         speeds = paper.DT_S * part[MEASUREMENTS[2:]].fillna(0).to_numpy()[1:]
@@ -150,7 +150,7 @@ def of_log(slopes, samples, width_m, calibration=None):
         calibration: The Calibration of the log, if there is one.
     """
     mu, kappa, drift = slopes
-    inverse = 1 / np.array([kappa.value, kappa.value + _Z * kappa.sigma, _least(kappa)])
+    inverse = 1 / np.array([kappa.value, kappa.value + Z_95 * kappa.sigma, _least(kappa)])
     ratio = mu.value / kappa.value
     sigma = ratio * np.hypot(mu.sigma / mu.value, kappa.sigma / kappa.value)
     rows = {
@@ -168,12 +168,12 @@ def of_log(slopes, samples, width_m, calibration=None):
 
 def row(value, sigma, unit="-"):
     """Value, 95 % interval and unit of what has this standard deviation."""
-    return value, value - _Z * sigma, value + _Z * sigma, unit
+    return *normal_interval(value, sigma), unit
 
 
 def _least(slope):
     """The lower limit of a Slope, above 0."""
-    return max(slope.value - _Z * slope.sigma, 1e-6)
+    return max(slope.value - Z_95 * slope.sigma, 1e-6)
 
 
 def constants(samples):

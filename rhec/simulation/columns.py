@@ -60,7 +60,7 @@ SIGMA_YAW_DRIFT = "sigma_yaw_drift_radpm"
 INNOVATION = ["innovation_x_m", "innovation_y_m"]
 
 
-def measured_of(sensors=()):
+def measured_of(sensors):
     """Columns of the measurements of a robot with these sensors, in the order of z."""
     return [*MEASUREMENTS, *(SENSORS[name] for name in sensors)]
 

@@ -41,7 +41,7 @@ class _Schedule(NamedTuple):
     added: np.ndarray
 
 
-def _schedule(faults, t_s, seed=0, sensors=()):
+def _schedule(faults, t_s, seed, sensors):
     """The _Schedule of faults at rising times t_s (n,) [s], of a robot with these `sensors`.
 
     The seed fixes the directions of outliers; the first rows do not depend on how many there are.
@@ -141,7 +141,7 @@ def _without_dead_tracks(nu, omega, dead, track_width_m):
     return nu - (left + right) / 2, omega - (right - left) / track_width_m
 
 
-def corrupted(z, faults, t_s, track_width_m, seed=0, sensors=()):
+def corrupted(z, faults, t_s, track_width_m, seed, sensors):
     """A recorded stream of measurements z (n, 4 + m) as it arrives with faults, (n, 4 + m).
 
     z = (x, y, ν, ω, …), with the m further `sensors` of the robot, is linear between its rising
@@ -174,7 +174,7 @@ class FaultStream(NamedTuple):
         return stream(faults, samples, self.dt_s, seed, self.sensors)
 
 
-def stream(faults, samples, dt_s, seed, sensors=()):
+def stream(faults, samples, dt_s, seed, sensors):
     """The schedule as the closed loop reads it, (samples, n): rows of `stream_shapes`, ages in
     samples, of a robot with these further `sensors`.
     """

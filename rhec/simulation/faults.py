@@ -6,11 +6,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from rhec import paper
 from rhec.core._casadi.validation import NotNegative, Positive, Real, validated
 from rhec.tracked_robot.sensors import SENSORS
 
 DELAY_MAX_S = 1.0
-PAST = 5  # earlier measurements that the closed loop stores
+PAST = round(DELAY_MAX_S / paper.DT_S)  # earlier measurements that the closed loop stores
 
 
 def memory_shapes(n_sensors):

@@ -71,7 +71,7 @@ def blocks_of(scenario):
     return tuple(part.block for part in parts_of(scenario))
 
 
-def measuring(scenario, world=None):
+def measuring(scenario, world):
     """The Parts of a scenario's robot that act before the estimator: from the soil to z."""
     yield from _ground(scenario, world)
     yield from _sensors(scenario, world)
@@ -239,7 +239,7 @@ def _compensated(part):
     return Part(block_of(moved)), part, Part(block_of(taken_off))
 
 
-def moving(scenario, world=None):
+def moving(scenario, world):
     """The Parts of a scenario's robot that act after the controller: the motion that it commands.
 
     They read what `measuring` wrote, and the `command` of this sample and of the last.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rhec
+from rhec.core.model.robot_model import interval
 
 
 def model_with(**changed):
@@ -38,6 +39,36 @@ def test_a_model_that_only_a_controller_sees_needs_no_outputs(virtual_machine):
     long.prepare()
     expected = long.feedback(x=(1, 0), p=(), x_ref=np.zeros((2, 11)), u_ref=np.zeros((1, 10)))
     assert short.step((1, 0)) == expected
+
+
+def test_a_held_input_is_that_of_the_last_interval_that_has_a_length():
+    """The joint state is (x, held v, slip), with the v by which a wheel's speed is measured."""
+    model = model_with(outputs=("x_m", "wheel_radps"), h=lambda x, u, p: p[0] + 2 * u)
+    step = interval(model).step
+    for dt_s, after in ((0.1, [1.1, 2.0, 0.5]), (0.0, [1.0, 7.0, 0.5])):
+        np.testing.assert_allclose(step([1.0, 7.0, 0.5], 2.0, dt_s).full().ravel(), after)
+
+
+@pytest.mark.parametrize(
+    "output, sigma_held",
+    [
+        (dict(outputs=("x_m", "v_mps")), 10 * 0.05),
+        (dict(outputs=("x_m", "wheel_radps"), h=lambda x, u, p: p[0] + 2 * u), 1.0),
+    ],
+)
+def test_an_input_that_is_not_measured_is_the_last_one_and_ten_sigma_or_one(
+    virtual_machine, output, sigma_held
+):
+    """Ten of its own output's; one in its unit where only another output tells of it."""
+    noise = dict(sigma_v=[0.02, 0.05], sigma_w=[1e-3, 1e-3], guess=[0, 0.5], sigma_guess=[1, 1])
+    silent, told = (
+        rhec.EKF(model=model_with(**output, **held), dt=0.1, **noise)
+        for held in ({}, dict(sigma_held=dict(v_mps=sigma_held)))
+    )
+    for z in ([0.0, 0.5], [0.1, np.nan], [np.nan, np.nan]):
+        expected = told.step(z)
+        found = silent.step(z)
+        np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,7 @@ def test_the_closest_point_equals_path_project():
         rhec.Path.from_segments([(5.0, -0.3), (2.0, 0.0)]),
     ):
         xy = rng.uniform(-20, 40, (300, 2))
+        xy[0] = target.segments[0, 1:3]  # its beginning, which is the end of a racetrack, too
         estimates = np.column_stack([xy, np.zeros((300, 4))]).T
         found = exported_functions.closest(len(target.segments))(
             estimate=estimates, segments=target.segments.T, length_m=target.length_m
@@ -388,6 +389,8 @@ def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants
     readme = (exported("paper") / "README.txt").read_text()
     memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
     assert float(re.search(r"every (\S+) ms", readme)[1]) == pytest.approx(1000 * paper.DT_S)
+    assert "rhec_prepare_control(&r)" in readme and "rhec_control(&r, &omega)" in readme
+    assert "/* weights of x, y, theta */" in (exported("paper") / "rhec_memory.h").read_text()
     program = (
         '#include "rhec.h"\n'
         "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"

@@ -121,4 +121,5 @@ def test_an_estimator_alone_has_no_controller(tmp_path):
     assert_replay_compares(compiled_replay(folder), example, tmp_path)
     header = (folder / "rhec_memory.h").read_text()
     assert "#define RHEC_CONTROLLER" not in header
+    assert not {"times.c", "fuzz.c"} & {file.name for file in folder.iterdir()}
     assert "rhec_control" not in (folder / "README.txt").read_text()

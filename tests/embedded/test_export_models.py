@@ -123,6 +123,8 @@ def test_an_estimator_or_a_controller_alone_answers_as_in_python(make, tmp_path)
     states = (part.stages if name == "control" else part).model.states
     header = (tmp_path / "rhec" / "rhec_memory.h").read_text()
     assert f"#define RHEC_STATES {len(states)} /* {', '.join(states)} */" in header
+    guessed = part.model.joint_names if name == "estimate" else ["unused"]
+    assert f"#define RHEC_GUESS {len(guessed)} /* {', '.join(guessed)} */" in header
     flags = []
     for row in rows:
         part.prepare()

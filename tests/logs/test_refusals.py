@@ -14,6 +14,7 @@ from written_bags import START_NS, odometry, pose_stamped, text, twist_stamped, 
 
 import rhec
 from notebooks.rivals import RIVALS
+from rhec.logs import calibration
 
 LOG = recorded_log(noise_m=0.02)
 FOREIGN = LOG.rename(
@@ -86,6 +87,36 @@ def test_what_cannot_be_calibrated():
     assert_refused(calibrate, [((log,), sentence) for log, sentence in rows])
 
 
+def so_far(column, amount):
+    """A minute of 300 rows, in which the encoders drive [m] or turn [rad] so far."""
+    log = recorded_log(5.0, 60.0)
+    times = amount / (0.2 * log[column].abs().sum())
+    return log.assign(**{column: times * log[column]})
+
+
+def some_positions(n):
+    log = recorded_log(5.0, 60.0)
+    return log.assign(x_m=log["x_m"].where(log.index < n))
+
+
+# {what: (a log of an amount, an amount that does not suffice, one that does)}
+NEEDED = {
+    "positions": (some_positions, 49, 50),
+    "way [m]": (partial(so_far, "speed_mps"), 5.8, 6.2),
+    "turns [rad]": (partial(so_far, "yaw_rate_radps"), 6.5, 6.8),
+}
+
+
+@pytest.mark.parametrize("what", NEEDED)
+def test_how_much_a_calibration_needs(what, monkeypatch):
+    """With enough it begins with the yaw of each segment, where it is stopped here."""
+    log_of, too_little, enough = NEEDED[what]
+    monkeypatch.setattr(calibration, "_first_yaws", lambda recording: 1 / 0)
+    for amount, stopped_by in ((too_little, ValueError), (enough, ZeroDivisionError)):
+        with pytest.raises(stopped_by):
+            rhec.calibrate(log_of(amount), trust_log=True)
+
+
 # Files
 
 
@@ -139,6 +170,8 @@ def test_tables_that_are_none(tmp_path):
         ((few, 0), "log was …cannot be read: …more entries than"),
         ((few, 60), "log was …cannot be read: …saw 6"),
         ((angles(5213.5, 4.3),), "the log's latitude is … should be in degrees"),
+        ((angles(90.2, 4.3),), "the log's latitude is 90.2 (median)"),
+        ((angles(52.1, 180.5),), "the log's longitude is 180.5 (median)"),
         ((angles(52.1, 43012.1),), "the log's longitude is … should be in degrees"),
         ((angles(521_000_000, 4.3),), "the log's latitude is … should be in degrees"),
     ]

@@ -257,7 +257,7 @@ def test_nothing_is_said_before_the_first_position():
 @pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
 def test_encoder_measurements_of_a_sample_are_means_over_the_interval_that_ends_there(rate_hz):
     log = recorded_log(rate_hz)
-    samples = recording.resample(recording.prepare(log).rows, 0.2, averaged=False)
+    (samples,) = recording.prepare(log).samples()
     fine = recorded_log(1000.0)
     for reading, column in (("nu_meas_mps", "speed_mps"), ("omega_meas_radps", "yaw_rate_radps")):
         expected = fine[column].to_numpy()[1:59_801].reshape(-1, 200).mean(axis=1)
@@ -269,10 +269,8 @@ def test_encoder_measurements_of_a_sample_are_means_over_the_interval_that_ends_
 def test_a_mean_is_known_where_half_of_its_interval_is(until_s, is_known):
     """Encoders are silent from 1 s on, until some time in the sample that ends at 2 s."""
     t = np.append(np.arange(0, 1.001, 0.01), np.arange(until_s, 3.0, 0.01)).round(3)
-    rows = pd.DataFrame(dict(segment=0, t_s=t, nu_meas_mps=1.0, omega_meas_radps=0.0))
-    for name in MEASUREMENTS[:2]:
-        rows[name] = 0.0
-    samples = recording.resample(rows, 0.2, averaged=False)
+    log = pd.DataFrame(dict(t_s=t, x_m=0.0, y_m=0.0, speed_mps=1.0, yaw_rate_radps=0.0))
+    (samples,) = recording.prepare(log).samples()
     assert np.isfinite(samples["nu_meas_mps"][10]) == is_known
     assert np.isnan(samples["nu_meas_mps"][9]) and np.isfinite(samples["nu_meas_mps"][11])
 
@@ -292,9 +290,17 @@ def test_how_long_speeds_and_a_truth_are_held_and_from_when_on_a_robot_stands():
             assert samples[name].notna().all() == is_known, (name, gap_s)
 
 
+def test_a_truth_that_wraps_goes_on_over_its_jumps():
+    """Between rows, too, where a mean of both sides of a jump would be half a turn off."""
+    log = recorded_log(8.0, start_rad=3.0)
+    wrapped = log.assign(yaw_true_rad=np.angle(np.exp(1j * log["yaw_true_rad"])))
+    assert wrapped["yaw_true_rad"].diff().abs().max() > 6
+    yaws = [recording.prepare(each).samples()[0]["theta_rad"] for each in (log, wrapped)]
+    np.testing.assert_allclose(*(np.exp(1j * yaw) for yaw in yaws), atol=1e-9)
+
+
 def test_encoder_measurements_of_a_run_are_means_already(run):
-    prepared = recording.prepare(run.log)
-    samples = recording.resample(prepared.rows, 0.2, prepared.averaged)
+    (samples,) = recording.prepare(run.log).samples()
     np.testing.assert_allclose(samples[MEASUREMENTS], run.log[MEASUREMENTS], atol=1e-9)
 
 
@@ -455,9 +461,7 @@ def test_the_shipped_log_is_reproducible(shipped):
 
 
 def test_regression_is_that_of_true_motion_on_measurements():
-    samples = recording.resample(
-        recording.prepare(recorded_log(50.0)).rows, 0.2, averaged=False
-    ).assign(segment=0)
+    (samples,) = recording.prepare(recorded_log(50.0)).samples()
     assert scores.regression(samples) == pytest.approx((MU, KAPPA), abs=1e-4)
 
 

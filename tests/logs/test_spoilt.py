@@ -16,7 +16,8 @@ import rhec
 from notebooks.further.recorded.scores import yaw_error
 from rhec import paper
 from rhec.logs.likelihood import Likelihood
-from rhec.logs.recording import prepare, travelled
+from rhec.logs.motion import travelled
+from rhec.logs.recording import prepare
 from rhec.simulation.columns import ESTIMATE
 
 EXAMPLE = pd.read_csv(make_example_log.FILE)

@@ -1,5 +1,6 @@
 """What a log says at a glance: the traction with its interval, and when not to trust it."""
 
+import functools
 import json
 import re
 import textwrap
@@ -19,7 +20,7 @@ from rhec.cli import main
 from rhec.logs import terms
 from rhec.logs.judge import hidden_errors, inflation, judge
 from rhec.logs.outputs import FILES
-from rhec.logs.recording import prepare, resample
+from rhec.logs.recording import prepare
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
 
 LOG = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
@@ -294,6 +295,10 @@ def test_the_noise_of_an_odometry_is_that_of_its_slip():
     samples[MEASUREMENTS[2:]] = np.column_stack([np.append(0, nu[:-1]), np.append(0, omega[:-1])])
     found = terms.noise(samples)
     np.testing.assert_allclose(found.drift, 0.2 * sigma**2, rtol=0.1)
+    # A slope has an interval from five blocks of 10 s on.
+    for seconds, is_told in ((39, False), (49, True)):
+        slopes = terms.slopes(samples[: 5 * seconds + 1])
+        assert np.isfinite(slopes).all() == is_told
 
 
 # How it was tested
@@ -311,9 +316,9 @@ def test_the_factor_covers_what_is_too_often_outside():
 
 def stays(recording):
     """An estimator that stays where the last position was."""
-    samples = resample(recording.rows, 0.2, recording.averaged)
+    (samples,) = recording.samples()
     place = samples[MEASUREMENTS[:2]].ffill().set_axis(ESTIMATE[:2], axis=1)
-    return samples.join(place).assign(segment=0, sigma_x_m=3.0, sigma_y_m=3.0)
+    return samples.join(place).assign(sigma_x_m=3.0, sigma_y_m=3.0)
 
 
 def test_hidden_positions_show_how_far_off_an_estimate_is():
@@ -371,6 +376,23 @@ def test_what_a_check_warns_of_is_not_trusted(change, says):
     page = str(rhec.log(change(LOG))).splitlines()
     assert page[-2].startswith("Do not trust it yet: ") and says in page[-2]
     assert page[-1].startswith("Warnings: ") and says in page[-1].replace("The log", "the log")
+
+
+SHORTER = functools.partial(recorded_log, 5.0, noise_m=0.02, seed=3)
+# {doubt: (a log of an amount, what is said, an amount of which it is not, one of which it is)}
+DOUBTS = {
+    "μ": (lambda mu: LOG.assign(speed_mps=MU / mu * LOG["speed_mps"]), "no traction", 1.45, 1.55),
+    "σ": (lambda mu: LOG.assign(speed_mps=MU / mu * LOG["speed_mps"]), "σ is 4.", 1.3, 1.4),
+    "hidden positions": (lambda s: SHORTER(duration_s=s), "could be hidden", 36, 26),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTS)
+def test_a_doubt_begins_at_an_amount(doubt):
+    log_of, words, smaller, larger = DOUBTS[doubt]
+    for amount, is_said in ((smaller, False), (larger, True)):
+        doubts = rhec.log(log_of(amount), trust_log=True).doubts
+        assert any(words in each for each in doubts) == is_said, (amount, doubts)
 
 
 def test_a_note_is_no_warning():

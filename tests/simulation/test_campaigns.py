@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 import warnings
@@ -162,6 +163,8 @@ def test_a_bar_shows_the_progress_of_what_takes_longer_than_two_seconds(monkeypa
         monkeypatch.setattr(campaigns, "simulate", slow)
         assert (rhec.campaign([SHORT], workers=1)["error"] == "").all()
         assert (0 in shown) == (seconds > 0)
+        timers = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
+        assert all(timer.finished.is_set() for timer in timers)
         assert not stream.getvalue().endswith("\n")
 
 
@@ -390,7 +393,7 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
         for process in workers_of(psutil.Process()):
             process.kill()
         assert_equal_rows(rhec.campaign(scenarios, workers=2, readings=readings), here)
-    workers.get_workers(2, large=True).stop(())  # as an interrupt does
+    workers.get_workers(3, large=True)  # others, which start later; those that there are end
     assert not workers_of(psutil.Process())
     # Ctrl-C is blocked for the workers alone, and only while they start.
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

@@ -31,7 +31,7 @@ SHORT = rhec.Scenario(**SIMPLE_WORLD, process_noise="prediction", duration_s=30.
 def arriving(*, seed=0, start_s=10.0, duration_s=2.0, **fault):
     """Z as it arrives with this fault."""
     return fault_signals.corrupted(
-        Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed
+        Z, [Fault(start_s=start_s, duration_s=duration_s, **fault)], T, B, seed, ()
     )
 
 

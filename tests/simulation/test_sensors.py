@@ -150,15 +150,3 @@ def test_a_first_heading_that_is_missing_is_none(missing):
     expected = plain.feedback((1.0, 2.0, 0.5, 0.1))
     found = with_heading.feedback((1.0, 2.0, 0.5, 0.1, missing))
     np.testing.assert_allclose([*found.pose, *found.p], [*expected.pose, *expected.p], atol=1e-9)
-
-
-def test_a_run_is_a_log_for_replay_and_its_sensors_are_checked_there():
-    log = changed(duration_s=120.0).log
-    estimates = rhec.replay(log, first_yaw_rad=0.0)
-    assert "gyro_bias_hat_radps" in estimates
-    for name, words in (
-        ("gyro_meas_radps", "counted clockwise"),
-        ("heading_meas_rad", "clockwise"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            rhec.replay(log.assign(**{name: -log[name]}))

@@ -202,7 +202,7 @@ def perturbed_replay(
         first = rows.groupby("segment")["theta_rad"].first()
         yaws = tuple(first + yaw_error_rad) if first.notna().all() else None
     guess = InitialGuess(yaws, lever_arm_m=lever_arm_m)
-    recording = recording._replace(rows=rows)
+    recording = recording.with_rows(rows)
     scenario = replay_scenario(estimator, recording, fields)
     return estimate_samples(recording, scenario, guess, smooth)
 

@@ -20,7 +20,7 @@ from rhec.core.model.integration import refuse_unstable_step
 from rhec.core.model.known import checked_known
 from rhec.core.model.limits import MAX_PLAUSIBLE_STATE
 from rhec.core.model.robot_model import Model
-from rhec.core.solver.rti import NO_SAMPLE, copy_checked
+from rhec.core.solver.rti import NO_SAMPLE, OneCall, copy_checked
 
 
 def build(model, dt_s):
@@ -42,7 +42,7 @@ def build(model, dt_s):
     return dict(step=step)
 
 
-class EKF:
+class EKF(OneCall):
     """The filter in a user's own loop, with the methods of RHE: `prepare()`, `feedback(z)`.
 
     It has no innovation gating: an outlier counts as any other measurement. `rhec.RHE` gates.
@@ -98,18 +98,6 @@ class EKF:
 
     def prepare(self) -> None:
         """Do nothing: the filter does all its work in `feedback`."""
-
-    def step(self, z: Any, known: Any = None) -> Any:
-        """One sample of a loop that prepares nothing: `prepare()`, then `feedback(z)`.
-
-        Args:
-            z: (n_z,) measurements; an entry that is not finite counts as missing.
-            known: Known signals, as in `feedback`.
-
-        Returns:
-            Estimate: x (n_x,), u (n_u,), p (n_p,), covariance of (x, p).
-        """
-        return self.feedback(z, known)
 
     @property
     def ok(self) -> bool:

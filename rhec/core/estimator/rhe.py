@@ -830,7 +830,7 @@ def _build_step(phases, memory, symbols):
     order = [phases[name] for name in PHASES]
     candidates = ("estimate", "covariance", "deviance", "ok", "accepted", "restart")
     results = [key for key in candidates if key in phases["feedback"].name_out()]
-    return chained("rhe_step", order, memory, (*results, "kkt"), symbols, first=("z_N",))
+    return chained("rhe_step", order, memory, (*results, "kkt"), symbols, ("z_N",))
 
 
 def init(window, guess, sigma, inputs=0.0, known=0.0):

@@ -33,7 +33,7 @@ class NoisyInterval(robot_model.Interval):
         none = ca.DM.zeros(self.n_s)
         return ca.vertcat(mean, none), ca.vertcat(variance, ca.fmax(added, _NO_NOISE))
 
-    def process_noise(self, v, W, dt_s, c=None):
+    def process_noise(self, v, W, dt_s, c):
         """Variances (n_s,) of noise besides w: none."""
         return ca.DM.zeros(self.n_s)
 

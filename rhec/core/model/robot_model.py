@@ -508,7 +508,7 @@ class Interval(NamedTuple):
         known = [z[row] for row in self.known.values()]
         return ca.vertcat(ca.DM.nan(z.numel() - len(known)), *known)
 
-    def process_noise(self, v, W, dt_s, c=None):
+    def process_noise(self, v, W, dt_s, c):
         """Variances (n_s,) of the process noise of an interval of dt_s [s]."""
         return self.motion_noise.process(v, W, dt_s, c) if self.motion_noise else W
 

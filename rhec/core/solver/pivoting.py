@@ -16,7 +16,7 @@ MAX_SWEEPS = 2**_DOUBLINGS + 1  # guesses before the search gives up; one to thr
 _PATIENCE = 3  # block exchanges that may fail to reduce the number of infeasible variables
 
 
-def correct_guess(active, x, multiplier, lower, upper, n_infeasible=0):
+def correct_guess(active, x, multiplier, lower, upper, n_infeasible):
     """Correct a guess of the active set by the sign conditions of its solution.
 
     A free variable beyond a bound is fixed there; one at a bound stays if its multiplier presses it

@@ -42,7 +42,7 @@ def outer_inputs(phases, memory):
     }
 
 
-def chained(name, phases, memory, results, symbols, first=()):
+def chained(name, phases, memory, results, symbols, first):
     """Phases, one after the other, as one Function (memory, …) -> (memory, results …).
 
     Args:
@@ -205,7 +205,24 @@ class RealTimeIteration:
             self.current[name][:] = self.previous[name]
 
 
-class RealTimeLoop:
+class OneCall:
+    """One call a sample, for estimators and controllers with `prepare()` and `feedback(…)`."""
+
+    def step(self, *sample: Any, **named: Any) -> Any:
+        """One sample of a loop that prepares nothing: `prepare()`, then `feedback(…)`.
+
+        Args:
+            sample: Arguments of `feedback`.
+            named: Arguments of `feedback` by name.
+
+        Returns:
+            What `feedback` returns.
+        """
+        self.prepare()
+        return self.feedback(*sample, **named)
+
+
+class RealTimeLoop(OneCall):
     """What RHE and RHC objects share; subclasses set `iteration` and `_inputs`, views by name."""
 
     iteration: RealTimeIteration
@@ -222,19 +239,6 @@ class RealTimeLoop:
             copy_checked(name, value, inputs[name])
         if not self.iteration.started:
             self._start()
-
-    def step(self, *sample: Any, **named: Any) -> Any:
-        """One sample of a loop that prepares nothing: `prepare()`, then `feedback(…)`.
-
-        Args:
-            sample: Arguments of `feedback`.
-            named: Arguments of `feedback` by name.
-
-        Returns:
-            What `feedback` returns.
-        """
-        self.prepare()
-        return self.feedback(*sample, **named)
 
     @property
     def ok(self) -> bool:

@@ -125,7 +125,7 @@ def compile_lanes(scenario):
         lanes.load(closed_loop.build_sample, *closed_loop.set_up(scenario).structure)
 
 
-def run_in_lanes(scenarios, result_of=operator.attrgetter("metrics")):
+def run_in_lanes(scenarios, result_of):
     """Run the scenarios of whose loops the lanes are compiled.
 
     Args:

@@ -281,10 +281,10 @@ def _like_caller(expected, function, task):
     Raises:
         RuntimeError: If the provenance of this process is not the expected one.
     """
-    _check_provenance(expected)
-    result = function(task)
-    _check_provenance(expected)  # again, because the compiler may have failed in between
-    return result
+    try:
+        return function(task)
+    finally:  # not before it, because the compiler may fail meanwhile
+        _check_provenance(expected)
 
 
 def _check_provenance(expected):
