@@ -146,12 +146,12 @@ def _middle(calibrations):
     arithmetic one.
     """
     calibrations = [each for each in calibrations if "sigma_v" in each]
-    fields = {}
-    for name in ("sigma_v", "sigma_w", "slip"):
-        values = np.array([calibration[name] for calibration in calibrations])
-        fields[name] = _geometric_mean(np.maximum(values, 1e-6))
-    side = np.mean([calibration["slip"][-1] for calibration in calibrations]).item()
-    return fields | dict(slip=(*fields["slip"][:-1], side))
+    fields = {
+        name: _geometric_mean([calibration[name] for calibration in calibrations])
+        for name in ("sigma_v", "sigma_w")
+    }
+    *others, side = zip(*(calibration["slip"] for calibration in calibrations))
+    return fields | dict(slip=(*_geometric_mean(np.transpose(others)), np.mean(side).item()))
 
 
 def _geometric_mean(rows):

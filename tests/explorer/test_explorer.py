@@ -454,6 +454,8 @@ def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_i
     ends = path.poses([0.0, 20.0])[0]
     for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):
         assert low < min(at) and max(at) < high < max(at) + 2
+    (way,) = [mark for mark in panel.marks if mark.label == "path, and bounds"]
+    assert (way.x[0], way.y[0]) == (3.0, -2.0)
     (band,) = [mark for mark in panel.marks if mark.kind == "area"]
     distance, _ = path.project(np.column_stack([band.x, band.y]))
     np.testing.assert_allclose(distance, paper.TOLERANCE_M)

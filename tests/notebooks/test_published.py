@@ -93,6 +93,9 @@ PICTURES = {
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
     "inverse_posterior": lambda: which_worlds.posterior(*inverse()[0]),
+    "slip_fields": lambda: scenarios.slip_fields(
+        pairs()["printed"]["RHE"].terrain, pairs()["printed"]["RHE"].path, "slip fields"
+    ),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))
     ),

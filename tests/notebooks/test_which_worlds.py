@@ -68,12 +68,10 @@ def test_of_uniform_ranks_one_unknown_in_twenty_is_called_wrong():
     """Whichever of three it is, p is below 0.05 in that share of all checks, or less often."""
     rng = np.random.default_rng(3)
     tables = [
-        abc_regression.calibration(rng.integers(0, 100, (50, 3)), 99, [*"abc"]) for _ in range(300)
+        abc_regression.calibration(rng.integers(0, 100, (50, 3)), 99, [*"abc"]) for _ in range(200)
     ]
     called = [(table["p"] < 0.05).any() for table in tables]
     assert 0.02 < np.mean(called) < 0.08
-    shares = np.mean([table.iloc[:, :2] for table in tables], axis=(0, 1))
-    assert shares == pytest.approx([0.5, 0.9], abs=0.01)
 
 
 def test_a_simulation_counts_as_much_as_its_prior_says(toy):
@@ -156,22 +154,6 @@ def test_bumps_let_the_yaw_walk_as_far_as_the_prior_says():
         yaw += rut * fields["bump_sigma_radps"] / paper.SPEED_MPS * step_m
     expected = world["bump_diffusion_radpsqrtm"] * np.sqrt(40.0)
     assert yaw.std() == pytest.approx(expected, rel=0.06)
-
-
-def test_posterior_worlds_can_be_driven_and_lie_in_the_prior():
-    worlds = which_worlds.posterior_worlds()
-    assert len(worlds) == which_worlds.DRAWS
-    for world in worlds:
-        scenario = which_worlds.scenario(world, which_worlds.VARIANTS["rhe_free"], 0)
-        turn = scenario.mu_mean * scenario.speed_mps / scenario.headland_radius_m
-        assert turn < scenario.kappa_mean * scenario.omega_max_radps
-    table = pd.DataFrame(worlds)
-    table["start_offset_m"] = table["start_offset_m"].abs()  # to either side
-    for name in set(which_worlds.PRIORS) & set(table):
-        prior = which_worlds.PRIORS[name]
-        assert table[name].between(prior.least * (1 - 1e-4) - 1e-6, prior.most + 1e-4).all() or (
-            prior.least < 0
-        )
 
 
 @pytest.fixture(scope="module")
@@ -362,7 +344,5 @@ def test_the_files_in_git_are_those_that_the_drives_give(monkeypatch, tmp_path):
     pd.testing.assert_frame_equal(which_worlds.prior_drives(), stored)
     made = which_worlds.posterior_table()
     assert list(made) == list(worlds) and len(made) == len(worlds)
-    counts = [table["world"].value_counts() for table in (made, worlds)]
-    assert counts[0].sub(counts[1], fill_value=0).abs().max() <= 3
     written = which_worlds.read(which_worlds.POSTERIOR_DRIVES)
     pd.testing.assert_frame_equal(written, last.astype(float))
