@@ -145,6 +145,19 @@ def along_curves(speed_of):
     return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
 
 
+def circles_by_yaw():
+    """A robot on circles, whose yaw from -π to π stands in the place of its rate.
+
+    With the left encoder backwards it would drive nearly the same, but not quite.
+    """
+    t = np.arange(0, 120, 0.1)
+    speed = 0.6 * (1 + 0.3 * np.sin(t / 5))
+    yaw = np.cumsum(0.1 * KAPPA * 0.3 * (1 + 0.3 * np.cos(t / 7)))
+    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
+    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
+    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=np.angle(np.exp(1j * yaw))))
+
+
 def plain(driven_m=40.0, turned_rad=20.0):
     """A robot that drives and turns so far in a minute, faster and slower."""
     t = np.arange(0, 60, 0.1)
@@ -289,6 +302,10 @@ WRONG = {
     "yaw in the place of the yaw rate": (
         LOG.assign(yaw_rate_radps=np.angle(np.exp(1j * LOG["yaw_true_rad"]))),
         "yaw_rate_radps is the angle since the beginning",
+    ),
+    "yaw of circles in the place of the yaw rate": (
+        circles_by_yaw(),
+        "angle since the beginning: so the encoders explain 100% .* as they are 5[01]%$",
     ),
     "counts of the encoders": (
         LOG.assign(speed_mps=0.1 * SPEED.cumsum(), yaw_rate_radps=0.1 * TURN.cumsum()),
