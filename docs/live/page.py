@@ -129,7 +129,7 @@ def seed_data(seed):
         apart = np.diff(np.diff(steps.astype(np.uint16), axis=1, prepend=0), axis=2, prepend=0)
         soils[name] = _packed(apart.astype(np.uint16))
     streams = {
-        name: _packed(fault_signals.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed))
+        name: _packed(fault_signals.stream(fault, functions.MAX_SAMPLES, paper.DT_S, seed, ()))
         for name, fault in FAULTS.items()
     }
     return dict(noise=_packed(np.round(noise).astype(np.int16)), soils=soils, faults=streams)

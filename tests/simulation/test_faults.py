@@ -115,7 +115,7 @@ def test_of_two_latencies_the_longer_one_counts(delays_s):
     several = [
         Fault(kind="latency", delay_s=delay_s, start_s=10.0, duration_s=2.0) for delay_s in delays_s
     ]
-    found = fault_signals.corrupted(Z, several, T, B)
+    found = fault_signals.corrupted(Z, several, T, B, 0, ())
     np.testing.assert_array_equal(found, arriving(kind="latency", delay_s=0.6))
 
 

@@ -86,7 +86,6 @@ def replay_of(rival, settings):
         hats=[f"hat_{name}" for name in names],
         sigmas=[*SIGMA[:3], *(f"sigma_{name}" for name in names[3:])],
         measured=MEASUREMENTS,
-        means=MEASUREMENTS[2:],
         structure=(POSITION_AND_ENCODERS, "ekf", rival.model, paper.DT_S),
         settings=settings,
     )
