@@ -34,6 +34,11 @@ def test_a_table_that_differs_is_told(other):
     assert all(difference(TABLE, other).split("; "))
 
 
+def test_however_small_a_number_is_its_double_is_a_difference():
+    kkt = pd.DataFrame(dict(kkt=[1e-9, 1e-12]))
+    assert difference(kkt, kkt.assign(kkt=[1e-9, 2e-12]))
+
+
 def test_rounding_and_a_computation_time_are_no_difference():
     other = TABLE.assign(mean=TABLE["mean"] * (1 + 1e-8), n=[3.0, 4.0])
     assert difference(TABLE, other) == ""

@@ -85,7 +85,7 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     drawn = {f"{name}.{kind}" for name in DRAWN for kind in ("png", "pdf")}
     assert published == {*drawn, *TABLES} | of_pages
     page = (source / "figures.md").read_text()
-    assert "**Figure 99.** A line, named." in page
+    assert page.count("**Figure 99.** A line, named.") == 1
     # The paper's figures and tables come first; one as wide as a column stands beside others.
     order = ["## The paper", "fig05_dot.png", "fig99_line.png", "## One", "square.png", "alone.png"]
     places = [page.index(each) for each in (*order, "table1_times.csv", "a_table.csv")]

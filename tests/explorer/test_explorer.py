@@ -2,6 +2,7 @@
 sentence where something cannot be.
 """
 
+import json
 import re
 import threading
 import time
@@ -13,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
+from PIL import Image
 
 import rhec
 from notebooks.rivals import RIVALS
@@ -124,6 +126,9 @@ def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be
     unit = isinstance(key, str) and rhec.Scenario.describe().loc[key, "unit"]
     assert slider.label.endswith(f" [{unit}]" if unit else slider.label[-1])
     assert "[" not in slider.label or unit or slider.kind == "whole" or not isinstance(key, str)
+    if slider.kind != "log":
+        steps_to_it = (values[key] - slider.low) / slider.step
+        assert steps_to_it == pytest.approx(round(steps_to_it))
     steps = (slider.high - slider.low) / slider.step
     assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
     assert f"{slider.step:e}"[0] in "125"
@@ -232,6 +237,7 @@ def test_a_changed_control_is_a_new_run_and_a_new_picture(made):
         assert [run.scenario for run in made.runs] == made.scenarios
         assert all(now != then for now, then in zip(shown(made)[1:], before[1:]))
     assert made.runs[0].metrics == rhec.simulate(made.scenarios[0]).metrics
+    made.add_patch.click()
     made.reset.click()
     assert shown(made) == first
     made.seed.value = 5
@@ -593,7 +599,9 @@ def test_a_lost_robot_is_drawn():
 
 
 def test_runs_and_figure_are_saved(made, tmp_path):
+    """The figure says which scenarios it shows, not those that it began with."""
     made.pin.click()
+    made.inputs["r"].value = 30.0
     made.name.value, made.folder.value = "wet_row-1", str(tmp_path / "deeper/still")
     for _ in range(2):
         made.save.click()
@@ -606,6 +614,8 @@ def test_runs_and_figure_are_saved(made, tmp_path):
         pd.testing.assert_frame_equal(pd.read_parquet(parquet), run.log)
         files -= {csv, parquet}
     assert files == {stem.with_suffix(".pdf"), stem.with_suffix(".png")}
+    shown = json.loads(Image.open(stem.with_suffix(".png")).text["Keywords"])
+    assert [scenario["r"] for scenario in shown] == [30.0, 30.0]
 
 
 def test_a_page_without_widgets_has_the_table_and_says_how_to_draw(made):

@@ -341,9 +341,12 @@ B5 = {"B5": ledger.CLAIMS["B5"]}
 
 
 def test_to_beat_a_rival_that_is_lost_is_named_so(orders):
-    outcomes = {name: finding.verdict for name, finding in findings_of(B5, orders)["B5"].items()}
+    findings = findings_of(B5, orders)["B5"]
+    outcomes = {name: finding.verdict for name, finding in findings.items()}
     # The arrival mean (G7) belongs to every claim on the RHE.
     assert outcomes["as printed"] == outcomes["smoothed arrival mean"] == LOST
+    # Such a verdict rests on no interval.
+    assert np.isnan(findings["as printed"].p) and findings[statistics.PREDICTION].p < 0.01
     assert outcomes[statistics.PREDICTION] == FAILS and outcomes["W consistent"] == HOLDS
     assert outcomes["W by tracking"] == UNDECIDED
     share = statistics.share([True] * 20 + [False] * 10)
@@ -369,8 +372,12 @@ def test_the_ledger_has_the_largest_p_of_what_is_decided(orders):
     assert row.p == row.p_adjusted == max(decided)
     rule = B5["B5"].rule
     alone = rule._replace(by_condition={"": rule.by_condition["W by tracking"]})
-    (row,) = judged(orders, {"B5": B5["B5"]._replace(rule=alone)}).itertuples()
+    by_tracking = B5["B5"]._replace(rule=alone)
+    (row,) = judged(orders, {"B5": by_tracking}).itertuples()
     assert (row.verdict, row.p) == (UNDECIDED, open_)
+    # Benjamini and Yekutieli: of m claims p m (1 + ... + 1/m) / rank, no more than of a larger p.
+    both = judged(orders, B5 | {"by tracking": by_tracking})
+    assert both["p_adjusted"].tolist() == pytest.approx([3 * max(decided), min(1.5 * open_, 1)])
 
 
 def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
