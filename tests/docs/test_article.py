@@ -44,6 +44,13 @@ def test_cases_of_faults_are_counted_as_the_notebook_counts_them():
         assert int(row["recovered"]) == (of["back"] / of["n"]).eq(1).sum()
 
 
+def test_a_case_that_one_drive_does_not_come_back_from_is_not_recovered(tmp_path, monkeypatch):
+    cases = dict(estimator="RHE", verdict="fails", back=[20, 19, 0], n=20)
+    pd.DataFrame(cases).to_csv(tmp_path / "table_faults.csv", index=False)
+    monkeypatch.setattr(article.answer, "RESULTS", tmp_path)
+    assert article._faults()["recovered"].tolist() == ["1"]
+
+
 def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_path):
     from matplotlib.figure import Figure
 

@@ -103,6 +103,12 @@ def test_the_order_on_the_scale_is_that_of_the_numbers():
         pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]
         bounds = sorted({bound for bound in (row["above"], row["below"]) if np.isfinite(bound)})
         pairs += list(zip(bounds, drawn["limits"]))
+        # Where the claim holds reaches from bound to bound, or to an edge.
+        begin, width = drawn["inside"]
+        ends = (begin, row["above"], 14), (begin + width, row["below"], 346)
+        for at, bound, edge in ends:
+            expected = drawn["limits"][bounds.index(bound)] if np.isfinite(bound) else edge
+            assert at == pytest.approx(expected), row["id"]
         pairs += [(number_of(text), at) for at, text in drawn["ticks"]]
         if drawn["paper"] is not None:
             pairs.append((float(row["paper"]), drawn["paper"]))

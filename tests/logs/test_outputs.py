@@ -34,3 +34,8 @@ def test_a_replay_leaves_tables_and_paths(tmp_path):
     assert (
         len(measured) == estimates["x_meas_m"].notna().sum() and (np.diff(measured[:, 0]) > 0).all()
     )
+    # A path has one pose at a time, also where sensors have rows of their own.
+    twice = pd.concat([estimates, estimates[100:103]]).sort_values("t_s", kind="stable")
+    write_estimates(twice, tmp_path / "twice")
+    for name in ("estimated.tum", "measured.tum"):
+        assert (tmp_path / "twice" / name).read_text() == (tmp_path / "new" / name).read_text()

@@ -18,10 +18,12 @@ from written_bags import START_NS, fix, imu, odometry, write_bag
 import rhec
 from rhec.cli import main
 from rhec.logs import terms
+from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.judge import hidden_errors, inflation, judge
 from rhec.logs.outputs import FILES
 from rhec.logs.recording import prepare
-from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS
+from rhec.logs.summary import _inflated
+from rhec.simulation.columns import ESTIMATE, LEVER_ARM, MEASUREMENTS, SIGMA
 
 LOG = recorded_log(5.0, 75.0, noise_m=0.02, seed=3)
 PAGE = Path(__file__).parents[2] / "docs" / "your_log.md"
@@ -157,6 +159,14 @@ def test_tracks_that_slip_more_than_the_noise_says_widen_what_is_said():
     # What is said of the yaw then is as much wider, and right.
     error = (summary.way["theta_hat_rad"] - summary.way["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert (error.abs() < 1.96 * summary.way["sigma_theta_rad"]).mean() > 0.9
+
+
+def test_what_the_course_adds_to_the_yaws_deviation_stays_when_the_rest_is_widened():
+    """5² = 4² + 3², and 8² + 3² where the noise is twice as large as it says."""
+    samples = pd.DataFrame({name: [5.0] for name in SIGMA}).assign(**{SIGMA_BY_COURSE: 3.0})
+    wider = _inflated(samples, 2.0)
+    assert wider[SIGMA[2]].tolist() == pytest.approx([np.hypot(8.0, 3.0)])
+    assert wider.drop(columns=[SIGMA[2], SIGMA_BY_COURSE]).eq(10.0).all(axis=None)
 
 
 def test_a_log_that_is_refused_has_no_estimate_and_the_reason():

@@ -377,7 +377,9 @@ def test_the_ledger_has_the_largest_p_of_what_is_decided(orders):
     assert (row.verdict, row.p) == (UNDECIDED, open_)
     # Benjamini and Yekutieli: of m claims p m (1 + ... + 1/m) / rank, no more than of a larger p.
     both = judged(orders, B5 | {"by tracking": by_tracking})
-    assert both["p_adjusted"].tolist() == pytest.approx([3 * max(decided), min(1.5 * open_, 1)])
+    assert both["p_adjusted"].tolist() == pytest.approx(
+        [3 * max(decided), min(1.5 * open_, 1)], rel=1e-9, abs=0
+    )
 
 
 def test_beside_what_decides_stands_the_first_that_says_otherwise_or_else_the_next():
