@@ -28,13 +28,6 @@ def world_text(scenario):
     return "a world of its own"
 
 
-def band(axes, x, low_middle_high, label, **look):
-    """Draw the middle 90 % of drives as a band and the median as a line."""
-    low, middle, high = low_middle_high
-    axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
-    axes.plot(x, middle, label=label, linewidth=0.8, **look)
-
-
 def frequencies(axes, values, limits, colour, bins=50, relative=False):
     """Draw how often values occur as an outline along the vertical axis.
 

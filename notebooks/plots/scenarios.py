@@ -574,7 +574,9 @@ def kkt(drives):
         tolerance = over_fields(drives, f"kkt_{name.lower()}")
         t_s = paper.DT_S * np.arange(1, tolerance.shape[1] + 1)
         colour = COLOURS[_KKT[name]]
-        parts.band(axes, t_s, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
+        low, middle, high = np.maximum(tolerance, _LEAST_KKT / 2)
+        axes.fill_between(t_s, low, high, alpha=0.25, linewidth=0, color=colour)
+        axes.plot(t_s, middle, linewidth=0.8, color=colour)
         largest_s = t_s[tolerance[1].argmax()]
         most = tolerance[1].max()
         title = f"{name}: largest median {most:.2g}, at {largest_s:.1f} s"
