@@ -28,16 +28,14 @@ def world_text(scenario):
     return "a world of its own"
 
 
-def frequencies(axes, values, limits, colour, bins=50, relative=False):
-    """Draw how often values occur as an outline along the vertical axis.
+def frequencies(axes, values, limits, colour, bins=50):
+    """Draw which percentage of the values is in each bin, an outline along the vertical axis.
 
-    The outline shows the percentage of the values in each bin, or with `relative` the count divided
-    by that of the fullest bin. Values beyond the limits count in the outermost bins.
+    Values beyond the limits count in the outermost bins.
     """
     edges = np.linspace(*limits, bins + 1)
     counts, _ = np.histogram(np.clip(values, *limits), edges)
-    shares = counts / counts.max() if relative else 100 * counts / np.size(values)
-    axes.stairs(shares, edges, orientation="horizontal", color=colour)
+    axes.stairs(100 * counts / np.size(values), edges, orientation="horizontal", color=colour)
     axes.set_xlim(left=0, auto=True)
 
 

@@ -532,11 +532,11 @@ def speed(drives):
     for column, name, label, width in _SPEEDS:
         axes.plot(log["t_s"], log[column], color=COLOURS[name], linewidth=width, label=label)
         values = np.array([run.columns[column] for run in drives])[:, settled]
-        parts.frequencies(beside, values, limits, COLOURS[name], bins=100, relative=True)
+        parts.frequencies(beside, values, limits, COLOURS[name], bins=100)
         deviations.append(f"{label} {values.std():.3f}")
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
     axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
-    beside.set(title="all drives", xlabel="frequency over\nthe largest [-]")
+    beside.set(title="all drives", xlabel="share [%]")
     _time_axis([axes], log)
     words = f"standard deviations [m/s]: {', '.join(deviations)}"
     figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
