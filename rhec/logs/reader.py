@@ -169,8 +169,7 @@ def _together(logs):
         parts.append(part)
         names |= {*log}
         inferred |= {f"file {number}, {role}": told for role, told in log.attrs["inferred"].items()}
-    merged = pd.concat(parts, ignore_index=True)
-    merged = merged.sort_values("t_s", kind="stable", ignore_index=True)
+    merged = pd.concat(parts).sort_values("t_s", kind="stable", ignore_index=True)
     merged.attrs["inferred"] = inferred
     return merged
 

@@ -191,3 +191,16 @@ def test_numbers_change_between_samples_without_a_new_controller():
     plain = controller(CART, bounds=None)
     plain.update(bounds=dict(acceleration_mps2=(-0.1, 0.1)))
     assert plain.feedback(**given) == -0.1
+    assert changed.bounds == tight and plain.bounds == dict(acceleration_mps2=(-0.1, 0.1))
+
+
+def test_what_an_input_of_the_reference_does_to_an_output_counts_at_once():
+    """Of a linear model one feedback is the optimum, also where such an input has just changed."""
+    linear = rhec.Model(states="x", inputs=("push", "wind"), f=lambda x, u, p: u[0] + u[1])
+    options = dict(model=linear, command="push", q=(0.0,), r=(1.0,), dt=0.5, horizon=4)
+    options |= dict(outputs=dict(y=lambda x, u, p: x[0] + 2 * u[1]), q_y=(3.0,))
+    before, fresh = controller(options), controller(options)
+    before.step((1.0,), u_ref=(0.0, 0.0))
+    before.prepare()
+    windy = dict(x=(1.0,), u_ref=(0.0, 0.4))
+    np.testing.assert_allclose(before.feedback(**windy), fresh.solve(**windy), rtol=1e-9)
