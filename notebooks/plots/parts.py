@@ -28,23 +28,14 @@ def world_text(scenario):
     return "a world of its own"
 
 
-def band(axes, x, low_middle_high, label, **look):
-    """Draw the middle 90 % of drives as a band and the median as a line."""
-    low, middle, high = low_middle_high
-    axes.fill_between(x, low, high, alpha=0.25, linewidth=0, **look)
-    axes.plot(x, middle, label=label, linewidth=0.8, **look)
+def frequencies(axes, values, limits, colour, bins=50):
+    """Draw which percentage of the values is in each bin, an outline along the vertical axis.
 
-
-def frequencies(axes, values, limits, colour, bins=50, relative=False):
-    """Draw how often values occur as an outline along the vertical axis.
-
-    The outline shows the percentage of the values in each bin, or with `relative` the count divided
-    by that of the fullest bin. Values beyond the limits count in the outermost bins.
+    Values beyond the limits count in the outermost bins.
     """
     edges = np.linspace(*limits, bins + 1)
     counts, _ = np.histogram(np.clip(values, *limits), edges)
-    shares = counts / counts.max() if relative else 100 * counts / np.size(values)
-    axes.stairs(shares, edges, orientation="horizontal", color=colour)
+    axes.stairs(100 * counts / np.size(values), edges, orientation="horizontal", color=colour)
     axes.set_xlim(left=0, auto=True)
 
 

@@ -532,11 +532,11 @@ def speed(drives):
     for column, name, label, width in _SPEEDS:
         axes.plot(log["t_s"], log[column], color=COLOURS[name], linewidth=width, label=label)
         values = np.array([run.columns[column] for run in drives])[:, settled]
-        parts.frequencies(beside, values, limits, COLOURS[name], bins=100, relative=True)
+        parts.frequencies(beside, values, limits, COLOURS[name], bins=100)
         deviations.append(f"{label} {values.std():.3f}")
     axes.axhline(drives[0].scenario.speed_mps, **parts.BOUND, label="reference")
     axes.set(ylabel=r"speed $\nu$ [m/s]", title=f"One drive: {_title(drives[0])}")
-    beside.set(title="all drives", xlabel="frequency over\nthe largest [-]")
+    beside.set(title="all drives", xlabel="share [%]")
     _time_axis([axes], log)
     words = f"standard deviations [m/s]: {', '.join(deviations)}"
     figure.suptitle(f"{_fields(drives)}, {words}", fontsize=8)
@@ -574,7 +574,9 @@ def kkt(drives):
         tolerance = over_fields(drives, f"kkt_{name.lower()}")
         t_s = paper.DT_S * np.arange(1, tolerance.shape[1] + 1)
         colour = COLOURS[_KKT[name]]
-        parts.band(axes, t_s, np.maximum(tolerance, _LEAST_KKT / 2), name, color=colour)
+        low, middle, high = np.maximum(tolerance, _LEAST_KKT / 2)
+        axes.fill_between(t_s, low, high, alpha=0.25, linewidth=0, color=colour)
+        axes.plot(t_s, middle, linewidth=0.8, color=colour)
         largest_s = t_s[tolerance[1].argmax()]
         most = tolerance[1].max()
         title = f"{name}: largest median {most:.2g}, at {largest_s:.1f} s"

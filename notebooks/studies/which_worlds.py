@@ -844,13 +844,15 @@ def shares(statistics, effective=None, fields=FIELDS):
         statements: the share of drives that meet it with a 95 % interval (`effective_share`),
         where the drives of a world count as one.
     """
-    flags = _with_totals(meets(statistics))
-    of_drives = flags.reshape(-1, flags.shape[-1]).mean(axis=0)
+    flags = meets(statistics)
+    numbers = flags[..., :_NUMBERS].all(axis=-1, keepdims=True)
+    flags = np.concatenate([flags, numbers, flags.all(axis=-1, keepdims=True)], axis=-1)
+    texts = [statement.text for statement in STATEMENTS.values()]
+    texts += ["the four numbers together", "all statements together"]
     n = effective or flags.shape[-2] / fields
-    rows = [effective_share(value, n) for value in of_drives]
-    return pd.DataFrame(
-        rows, _statement_texts(), ["drives", "drives_low", "drives_high"]
-    ).rename_axis("statement")
+    rows = [effective_share(value, n) for value in flags.reshape(-1, len(texts)).mean(axis=0)]
+    columns = ["drives", "drives_low", "drives_high"]
+    return pd.DataFrame(rows, texts, columns).rename_axis("statement")
 
 
 def effective_share(value, n):
@@ -862,17 +864,6 @@ def effective_number(worlds):
     """Kish's effective number of different worlds among draws, given the world of each."""
     counts = np.unique(worlds, return_counts=True)[1]
     return counts.sum() ** 2 / np.square(counts).sum()
-
-
-def _with_totals(flags):
-    """Flags of STATEMENTS, followed by those of the four numbers together and of all statements."""
-    numbers = flags[..., :_NUMBERS].all(axis=-1, keepdims=True)
-    return np.concatenate([flags, numbers, flags.all(axis=-1, keepdims=True)], axis=-1)
-
-
-def _statement_texts():
-    texts = [statement.text for statement in STATEMENTS.values()]
-    return [*texts, "the four numbers together", "all statements together"]
 
 
 def statistics_with_own_w(drives, worlds):

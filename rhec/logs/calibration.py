@@ -458,4 +458,4 @@ def _usable(recording):
             "a robot that hardly moves cannot be calibrated"
         )
     rows = recording.rows
-    return recording.with_rows(rows[rows["segment"].isin(usable)].reset_index(drop=True))
+    return recording.with_rows(rows[rows["segment"].isin(usable)])

@@ -46,7 +46,7 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
     rows = recording.rows
     first_s = rows.groupby("segment")["t_s"].first()
     since_s = rows["t_s"] - rows["segment"].map(first_s)
-    shown = pd.concat(recording.samples(), ignore_index=True)[MEASUREMENTS[:2]].to_numpy()
+    shown = pd.concat(recording.samples())[MEASUREMENTS[:2]].to_numpy()
     tables = []
     for begin_s in np.arange(0.0, _EVERY_S, HIDDEN_S):
         is_hidden = ((since_s - begin_s) % _EVERY_S < HIDDEN_S) & (since_s >= HIDDEN_S)
@@ -68,8 +68,7 @@ def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
         )
         counts = (sample_s > HIDDEN_S) & (errors["after_s"] < HIDDEN_S + paper.DT_S / 2)
         tables.append(errors[counts & (errors["after_s"] >= _LEAST_AFTER_S)].dropna())
-    stretches = pd.concat(tables).groupby(["segment", "stretch"])
-    return stretches.last().reset_index(drop=True)
+    return pd.concat(tables).groupby(["segment", "stretch"]).last()
 
 
 def inflation(*ratios):

@@ -164,13 +164,11 @@ def _together(logs):
                 f"file {number} of the log had no column of its time, by which it could be put "
                 f"beside the others; it has {', '.join(map(str, log))}"
             )
-        part = log[["t_s", *(name for name in log if name not in {*names, "t_s"})]].copy()
-        part["t_s"] += begin_s - min(begins)
-        parts.append(part)
+        part = log[["t_s", *(name for name in log if name not in {*names, "t_s"})]]
+        parts.append(part.assign(t_s=part["t_s"] + begin_s - min(begins)))
         names |= {*log}
         inferred |= {f"file {number}, {role}": told for role, told in log.attrs["inferred"].items()}
-    merged = pd.concat(parts, ignore_index=True)
-    merged = merged.sort_values("t_s", kind="stable", ignore_index=True)
+    merged = pd.concat(parts).sort_values("t_s", kind="stable", ignore_index=True)
     merged.attrs["inferred"] = inferred
     return merged
 

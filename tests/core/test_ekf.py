@@ -87,18 +87,6 @@ def test_while_the_yaw_rate_is_silent_the_last_one_holds():
         np.testing.assert_array_equal(one[0], other[0])
 
 
-@pytest.mark.parametrize("channel", range(3))
-def test_a_reading_that_cannot_be_is_a_missing_one(channel):
-    _, z = drive((0, 0, 0, 0.5, 1, 1), np.full(20, 0.3))
-    start = init((0.1, 0, 0, 0.5, 1, 1), (1,) * 6)
-    z[[0, 5, 6], channel] = np.nan
-    silent = run(z, start)
-    z[[0, 5, 6], channel] = np.inf, -np.inf, 1e12
-    for one, other in zip(silent, run(z, start)):
-        np.testing.assert_array_equal(one[0], other[0])
-        np.testing.assert_array_equal(one[1], other[1])
-
-
 # The rivals
 
 SIGMA_W = (0.01, 0.01, 0.02, 0.01, 0.02, 0.02)

@@ -175,6 +175,21 @@ def test_a_wild_input_beside_a_wild_position_is_not_used(factor):
     assert np.linalg.norm(places - spared, axis=-1).max() < 0.1
 
 
+@pytest.mark.parametrize(
+    "steering_rad, is_kept", [(0.2, True), (-0.3, True), (0.31, True), (1.0, False), (-1.0, False)]
+)
+def test_an_input_is_kept_within_those_of_the_window(steering_rad, is_kept):
+    """Those from -0.3 to 0.3 rad were in the window, and σ is 0.02 rad or so."""
+    live = rhec.RHE(
+        model=table.model_of("bicycle"), dt=table.DT_S, horizon=5, **table.settings_of("bicycle")
+    )
+    kept = live.window.judge.build_kept(live.window)
+    v = np.vstack([np.full(5, 1.0), np.linspace(-0.3, 0.3, 5)])
+    z = np.array([5.0, 6.0, 1.0, steering_rad])
+    found = kept(z, v, live.settings["V"]).full().ravel()
+    np.testing.assert_array_equal(found, np.where([True, True, True, is_kept], z, np.nan))
+
+
 def test_beside_a_wild_input_the_position_is_used():
     drives, places, ok = found("unicycle", "encoders wild 1 s")
     error = np.linalg.norm(places - drives.places, axis=-1)

@@ -213,6 +213,10 @@ BACK = "falls back by {}; what follows counts as another drive"
 # {what is wrong: (log, pattern of each thing that is said of it, …)}
 WRONG = {
     "speed in km/h": (LOG.assign(speed_mps=3.6 * SPEED), "speed_mps may be in km/h .* 0.25 times"),
+    "speed in km/h, after a second": (
+        pd.concat([LOG[:10].assign(segment="a"), LOG.assign(segment="b", speed_mps=3.6 * SPEED)]),
+        "speed_mps may be in km/h .* 0.25 times",
+    ),
     "speed in cm/s": (LOG.assign(speed_mps=100 * SPEED), "speed_mps may be in cm/s and should"),
     "speed in mm/s": (LOG.assign(speed_mps=1e3 * SPEED), "speed_mps is 566 .*in another unit"),
     "speed in knots": (

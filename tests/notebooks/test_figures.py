@@ -266,7 +266,7 @@ def test_tolerances_and_speeds_are_those_of_all_drives(drawn, drives):
     ):
         np.testing.assert_array_equal(line.get_ydata(), runs[0].log[column])
         shares, edges, _ = stairs.get_data()
-        assert shares.max() == 1 and (edges[0], edges[-1]) == pytest.approx(
+        assert shares.sum() == pytest.approx(100) and (edges[0], edges[-1]) == pytest.approx(
             (time.lines[0].get_ydata().min(), time.lines[0].get_ydata().max())
         )
         values = np.concatenate([run.columns[column][run.columns["t_s"] >= 20] for run in runs])
