@@ -77,7 +77,7 @@ def test_a_perturbed_replay_refuses_nonsense_as_a_replay_does():
 
 def test_an_estimator_knows_of_the_noise_that_is_added_to_its_log():
     """With noise of 0.03 m and positions that were good to 0.04 m they are good to 0.05 m."""
-    log = recorded_log(5.0, 30.0, noise_m=0.0)
+    log = recorded_log(5.0, 30.0, noise_m=0.01)
     noise = 0.03 * np.random.default_rng(7).standard_normal((len(log), 2))
     noisy = log.assign(x_m=log["x_m"] + noise[:, 0], y_m=log["y_m"] + noise[:, 1])
     how = dict(estimator="ekf", process_noise="prediction", trust_log=True)
