@@ -42,10 +42,7 @@ def test_the_traction_of_a_rival_is_the_speed_ahead_by_nu_and_the_turning_by_ome
 
 
 def test_straight_seconds_are_counted_by_the_way_that_the_robot_drives():
-    """It goes 0.4 m/s, turns on the way back where it goes 0.5, and creeps at the end.
-
-    For 4 s it slides sideways, of which the median takes no notice.
-    """
+    """It goes ahead, slides sideways for 4 s, turns on the way back, and creeps at the end."""
     v = np.repeat([0.4, -0.5, -0.5, 0.2], [150, 100, 50, 50])
     turning = np.repeat([0.0, 0.0, 0.3, 0.0], [150, 100, 50, 50])
     yaw = 0.2 * np.cumsum(turning) - 2.0
