@@ -166,8 +166,23 @@ SEEDS = dict.fromkeys(RULES, TRAINING_SEEDS) | dict(tracking=_TRACKING_SEEDS)
 
 
 def calibrate(estimator, rule):
-    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, whose sigmas are tuples."""
-    tuned = ESTIMATORS[estimator]
+    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, as of `tune`."""
+    found = tune(ESTIMATORS[estimator], rule, _known(estimator, rule))
+    return dict(estimator=estimator, process_noise=rule) | found
+
+
+def tune(tuned, rule, known=None):
+    """The noise of any estimator by a rule.
+
+    Args:
+        tuned: A Tuned.
+        rule: A name in RULES.
+        known: A good (*sigma_v, *sigma_w), if there is one, from which the search begins, too.
+
+    Returns:
+        {"sigma_w", "sigma_v": tuples, "objective": that of these, "evaluations": their number,
+        "seeds": those of the training}.
+    """
     objective = RULES[rule](tuned.fields)
     unused = {*range(_N_V)} - {place for places in tuned.unknowns for place in places}
 
@@ -185,12 +200,10 @@ def calibrate(estimator, rule):
         tried.append((value if np.isfinite(value) else _DIVERGED, sigma))
         return tried[-1][0]
 
-    search(evaluate, tuned.unknowns, _known(estimator, rule))
+    search(evaluate, tuned.unknowns, known)
     least, best = min(tried)
     seeds = f"{SEEDS[rule][0]}-{SEEDS[rule][-1]}"
-    about = dict(estimator=estimator, process_noise=rule)
-    counts = dict(objective=float(least), evaluations=len(tried), seeds=seeds)
-    return about | noise_of(best) | counts
+    return noise_of(best) | dict(objective=float(least), evaluations=len(tried), seeds=seeds)
 
 
 def _known(estimator, rule):
