@@ -47,7 +47,7 @@ _PAYS = 0.9  # the worth of an effort: 10 % of the error
 class Told(Terrain):
     """Soil of whose mean traction a robot with fixed traction is told this (μ, κ) instead."""
 
-    told: tuple[float, float] = (1.0, 1.0)
+    told: tuple[float, float]
 
     @property
     def mean(self) -> np.ndarray:

@@ -166,7 +166,7 @@ SEEDS = dict.fromkeys(RULES, TRAINING_SEEDS) | dict(tracking=_TRACKING_SEEDS)
 
 
 def calibrate(estimator, rule):
-    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, whose sigmas are tuples."""
+    """The noise of one of ESTIMATORS by a rule: a row of tuned.csv, as of `tune`."""
     found = tune(ESTIMATORS[estimator], rule, _known(estimator, rule))
     return dict(estimator=estimator, process_noise=rule) | found
 

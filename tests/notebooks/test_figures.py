@@ -218,6 +218,7 @@ def test_estimates_have_two_sigma_about_them_and_the_frequencies_of_all_drives(d
     for (time, beside), (value, sigma, truth, inside), unit in zip(
         rows, stated(runs[0]).values(), ("θ", "μ", "κ")
     ):
+        assert "[" in time.get_ylabel()
         band = time.collections[0].get_paths()[0].vertices
         assert band[:, 1].max() == pytest.approx((value + 2 * sigma).max())
         assert band[:, 1].min() == pytest.approx((value - 2 * sigma).min())

@@ -42,10 +42,7 @@ def test_the_traction_of_a_rival_is_the_speed_ahead_by_nu_and_the_turning_by_ome
 
 
 def test_straight_seconds_are_counted_by_the_way_that_the_robot_drives():
-    """It goes 0.4 m/s, turns on the way back where it goes 0.5, and creeps at the end.
-
-    For 4 s it slides sideways, of which the median takes no notice.
-    """
+    """It goes ahead, slides sideways for 4 s, turns on the way back, and creeps at the end."""
     v = np.repeat([0.4, -0.5, -0.5, 0.2], [150, 100, 50, 50])
     turning = np.repeat([0.0, 0.0, 0.3, 0.0], [150, 100, 50, 50])
     yaw = 0.2 * np.cumsum(turning) - 2.0
@@ -140,13 +137,14 @@ def test_the_deviance_of_a_robot_that_stands_is_that_of_its_positions(name):
     assert differences[0] == pytest.approx(differences[1], abs=0.05)
 
 
-def test_a_rival_is_tuned_to_the_noise_that_there_is(monkeypatch):
-    """Of positions with white errors of 0.05 m, by all that is driven after the first metres."""
-    monkeypatch.setitem(transfer._SEARCHED, "EKF of (μ, κ)", [(0, 1), (11,)])
-    for sigma_m in (0.02, 0.08):
-        log = recorded_log(5.0, 200.0, noise_m=sigma_m, seed=2)
-        found = transfer._tuned("EKF of (μ, κ)", log)
-        assert found[0] == found[1] == pytest.approx(sigma_m, rel=0.1)
+@pytest.mark.parametrize(
+    "name, bumps, sigma_m", [("EKF of (μ, κ)", 11, 0.02), ("EKF of ICR", 13, 0.08)]
+)
+def test_a_rival_is_tuned_to_the_noise_that_there_is(name, bumps, sigma_m, monkeypatch):
+    """Of positions with white errors, by all that is driven after the first metres."""
+    monkeypatch.setitem(transfer._SEARCHED, name, [(0, 1), (bumps,)])
+    found = transfer._tuned(name, recorded_log(5.0, 200.0, noise_m=sigma_m, seed=2))
+    assert found[0] == found[1] == pytest.approx(sigma_m, rel=0.1)
 
 
 @pytest.fixture
