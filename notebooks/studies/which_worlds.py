@@ -476,6 +476,10 @@ def prior_drives():
 def posterior_table():
     """DRAWS equally likely worlds, given the paper's numbers: fields of Scenario, with
     the W of each estimator, w_rhe and w_ekf.
+
+    They were drawn when the rows of `simulations` stood in another order, and all further files
+    rest on them. `main` draws other worlds of the same posterior: of the 24 unknowns none is
+    distributed otherwise (Kolmogorov and Smirnov, each p at least 0.13).
     """
     return pd.read_csv(POSTERIOR_WORLDS)
 
