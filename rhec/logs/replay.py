@@ -135,13 +135,9 @@ class Replay(NamedTuple):
         return pd.DataFrame(np.column_stack([*arrays.values()]), columns=names)
 
     def predict(self, estimate, z, tau_s):
-        """Estimates and outputs of many rows after tau_s (n,), by `motion_of`.
-
-        A missing measurement of z (n, n_z) is replaced by the previous one.
-        """
-        held = pd.DataFrame(z).ffill().to_numpy()
+        """Estimates and outputs of many rows after tau_s (n,), by `motion_of`, given z (n, n_z)."""
         motion = motion_of(self.model, self.quantities).map(len(estimate))
-        return [np.array(result).T for result in motion(estimate.T, held.T, tau_s[None, :])]
+        return [np.array(result).T for result in motion(estimate.T, z.T, tau_s[None, :])]
 
 
 # The estimator's step as a scan
@@ -634,7 +630,8 @@ def _at_rows_of_segment(samples, rows, recording, how):
     for name in z.columns.intersection(recording.means):
         z[name] = means_of(rows, name, sampled[last], t, recording)
     result = samples.iloc[last].reset_index(drop=True)
-    predicted, _ = how.predict(result[how.hats].to_numpy(), z.to_numpy(), tau)
+    held = z.ffill().to_numpy()
+    predicted, _ = how.predict(result[how.hats].to_numpy(), held, tau)
     result.loc[tau != 0, how.hats] = predicted[tau != 0]
     # Events of a sample are reported only in the first row after it.
     is_between = np.diff(last, prepend=-1) == 0

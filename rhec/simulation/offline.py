@@ -8,7 +8,8 @@ from rhec.core import runner
 from rhec.core._casadi import early
 from rhec.core._casadi.packing import pack_array
 from rhec.core.lanes import lanes
-from rhec.simulation.columns import POSE, TRUTH, measured_of
+from rhec.simulation.closed_loop import first_guess
+from rhec.simulation.columns import TRUTH, measured_of
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of, states_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -45,7 +46,7 @@ def columns(run, names):
 def run_estimator_on_all(scenario, runs, *outputs):
     """Outputs of the scenario's estimator on the measurements of Runs: a list of {name: array}.
 
-    The estimator starts where the robot is. It runs in lanes where there are any.
+    The estimator has the first guess of the run. It runs in lanes where there are any.
     """
     structure = outputs, Choice.of(scenario)
     step = _build(*structure)["step"]
@@ -87,7 +88,7 @@ def _arguments(step, scenario, run):
     """The estimator's first memory, the stream (n, columns) of its inputs, and its settings."""
     choice = Choice.of(scenario)
     estimator = estimator_of(choice.estimator)
-    guess = (*(run.columns[name][0] for name in POSE), run.scenario.speed_mps, 1.0, 1.0)
+    guess = first_guess(run.scenario, run.path)
     memory = pack_array(estimator.init(choice, dict(zip(QUANTITIES, guess))))
     told = [column for name in estimator.told for column in _TOLD.get(name, ())]
     settings = estimator.settings(scenario) | dict(mean_traction=run.terrain.mean)

@@ -1,5 +1,6 @@
 """The estimator that was judged on a log, as C: estimates and standard deviations are Python's."""
 
+import dataclasses
 import subprocess
 
 import casadi as ca
@@ -7,13 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
+from oracles import DT, flat, move
 
 import rhec
 from notebooks.studies import toolchain
 from rhec.embedded.exported_functions import operations
-from rhec.embedded.recorded import example_of
+from rhec.embedded.recorded import build_move, example_of
 from rhec.logs.recording import prepare
 from rhec.simulation.columns import ESTIMATE, LEVER_ARM
+from rhec.tracked_robot.estimators import Choice
+from rhec.tracked_robot.paper_rhe import window_of
+
+INFLATION = 1.5
 
 
 def compiled_replay(folder, *sources):
@@ -62,21 +68,59 @@ def late_log():
 
 @pytest.fixture(scope="module")
 def summary():
-    return rhec.log(late_log())
+    """By its judge all standard deviations are too small."""
+    found = rhec.log(late_log())
+    return dataclasses.replace(found, judged=found.judged._replace(inflation=INFLATION))
 
 
-def test_the_c_of_a_log_is_what_was_judged(summary, tmp_path):
-    folder = rhec.export(summary, tmp_path / "C")
+@pytest.fixture(scope="module")
+def folder(summary, tmp_path_factory):
+    return rhec.export(summary, tmp_path_factory.mktemp("export") / "C")
+
+
+@pytest.fixture(scope="module")
+def program(folder):
+    return compiled_replay(folder, "search.c")
+
+
+def test_the_c_of_a_log_is_what_was_judged(summary, folder, program, tmp_path):
     example = pd.read_csv(folder / "log.csv")
     assert len(example) > 250
-    assert_replay_compares(compiled_replay(folder, "search.c"), example, tmp_path)
+    assert_replay_compares(program, example, tmp_path)
     # It is the run that was judged, with its standard deviations, from its first position on.
     way = summary.way.dropna(subset=ESTIMATE[0])[-100:]
     hats = [*ESTIMATE, *LEVER_ARM]
     np.testing.assert_allclose(example[hats][-100:], way[hats], atol=1e-9)
     sigma = ["sigma_x_m", "sigma_mu", "sigma_kappa", "sigma_arm_left_m"]
-    np.testing.assert_allclose(example[sigma][-100:], way[sigma], rtol=1e-9)
+    times = INFLATION / summary.numbers["inflation"]
+    np.testing.assert_allclose(example[sigma][-100:], times * way[sigma], rtol=1e-9)
     assert (folder / "README.txt").read_text().count("scalar operations") == 1
+
+
+@pytest.mark.parametrize("yaw_rad", [0.3, 0.35])
+def test_without_encoders_at_the_start_the_c_chooses_the_same_direction(
+    yaw_rad, summary, program, tmp_path
+):
+    """A robot in a curve, with a yaw between two of those that are tried."""
+    turned = yaw_rad + 0.2 * np.arange(50)
+    log = pd.DataFrame(dict(t_s=0.1 * np.arange(50), speed_mps=0.5, yaw_rate_radps=2.0))
+    log = log.assign(x_m=0.25 * np.sin(turned), y_m=-0.25 * np.cos(turned))
+    log.loc[2:21, ["speed_mps", "yaw_rate_radps"]] = np.nan
+    example = example_of(summary.judged._replace(recording=prepare(log)))
+    example.to_csv(tmp_path / "log.csv", index=False)
+    ended = subprocess.run([program, tmp_path / "log.csv"], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_late_position_is_compared_with_where_the_robot_was_then():
+    """Without noise it is not surprising, and becomes the position at the sample."""
+    move_late = build_move(window_of(Choice.of(rhec.Scenario())))
+    first, p, omega, age_s = (3.0, -2.0, 0.7), (0.5, 0.9, 0.8), 0.4, 0.15
+    then, now = (flat(move(first, *p, omega, dt)[:2]) for dt in (DT - age_s, DT))
+    z = [*then, p[0], omega]
+    found = move_late(estimate=[*first, *p], measured=z, held=z, ages=[age_s] * 4)
+    np.testing.assert_allclose(flat(found["z_N"]), [*now, p[0], omega], atol=1e-6)
+    assert found["square"] < 1e-12
 
 
 def test_a_refused_log_has_nothing_to_export(tmp_path):

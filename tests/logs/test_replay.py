@@ -67,6 +67,17 @@ def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
     ].median() == pytest.approx(KAPPA, abs=0.02)
 
 
+@may_be_unsure
+def test_without_encoders_a_robot_goes_on_between_the_samples_as_at_them():
+    """On a circle without noise, so that the yaw is wrong by the same amount in all rows."""
+    yaw = 0.075 * np.arange(200)
+    log = pd.DataFrame(dict(t_s=0.05 * np.arange(200), speed_mps=0.5, yaw_rate_radps=1.5))
+    log = log.assign(x_m=np.sin(yaw) / 3, y_m=-np.cos(yaw) / 3)
+    log.loc[100:119, ["speed_mps", "yaw_rate_radps"]] = np.nan
+    result = rhec.replay(log, first_yaw_rad=0.0, smooth=False)
+    assert np.ptp((result["theta_hat_rad"] - yaw)[100:120]) < 0.01
+
+
 def test_replaying_the_log_of_a_run_gives_its_estimates(run):
     """The estimates are those of the closed loop."""
     given = dict(

@@ -304,6 +304,9 @@ def test_without_a_model_they_are_the_papers_and_ones_own_class_derives_from_the
     assert not isinstance(made, own_loop.RHE)
     made.step((0.0, 0.5))
     assert type(made) is Counting and made.samples == 1
+    for made in (rhec.RHE, rhec.RHC):  # one's own class is never the paper's without a word
+        with pytest.raises(ValueError, match="model was not given"):
+            type("Own", (made,), {})(horizon=2)
 
 
 @pytest.mark.nightly

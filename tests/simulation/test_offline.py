@@ -7,13 +7,18 @@ import rhec
 from rhec.simulation.columns import ESTIMATE
 from rhec.simulation.offline import columns, run_estimator, sigma_of_traction
 
-SENSORS = (), ("gyro",), ("heading",), ("gyro", "heading")
-CASES = [("ekf", ()), ("oracle", ()), *(("rhe", sensors) for sensors in SENSORS)]
+CASES = [
+    dict(estimator="ekf"),
+    dict(estimator="oracle"),
+    dict(sensors=()),
+    dict(sensors=("gyro", "heading")),
+    dict(backwards=True, guess_yaw_rad=0.5),
+]
 
 
-@pytest.mark.parametrize(("estimator", "sensors"), CASES)
-def test_offline_it_estimates_what_it_did_in_the_loop(estimator, sensors):
-    run = rhec.simulate(rhec.Scenario(estimator=estimator, sensors=sensors, duration_s=20.0))
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_offline_it_estimates_what_it_did_in_the_loop(case):
+    run = rhec.simulate(rhec.Scenario(**case, duration_s=20.0))
     offline = run_estimator(run.scenario, run, "estimate")["estimate"]
     np.testing.assert_array_equal(offline, columns(run, ESTIMATE))
 
