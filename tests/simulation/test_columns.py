@@ -48,11 +48,6 @@ def test_a_run_has_the_columns_that_the_page_says(run):
     assert {*everything.log.columns} == described
 
 
-def test_a_run_has_its_columns_in_this_order(run):
-    made = [column for column in run.log.columns if column in columns.COLUMNS]
-    assert made == columns.COLUMNS == [name for group in columns.LOG.values() for name in group]
-
-
 def test_every_metric_is_documented_in_the_words_of_a_notebook(run):
     assert list(run.metrics) == list(METRICS)
     assert documented("Metrics") == METRICS
