@@ -51,11 +51,6 @@ def test_a_run_has_the_columns_that_the_page_says(run):
     assert {*everything.log.columns} == described
 
 
-def test_a_run_has_its_columns_in_this_order(run):
-    made = [column for column in run.log.columns if column in columns.COLUMNS]
-    assert made == columns.COLUMNS == [name for group in columns.LOG.values() for name in group]
-
-
 # {column: (signals, which entries of them it stands for)}
 FLAGS_OF_TWO = {
     "ok": (("ok_rhe", "ok_rhc"), (0, 1)),
