@@ -540,10 +540,14 @@ def test_a_worker_whose_compiler_fails_on_the_way_is_refused(monkeypatch, one_by
 # Executors of the caller
 
 
+def pool_of_one():
+    """A process of the standard library."""
+    return concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+
+
 @pytest.fixture(scope="module")
 def processes():
-    """A process of the standard library."""
-    with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    with pool_of_one() as pool:
         yield pool
 
 
@@ -572,10 +576,11 @@ def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatc
         monkeypatch.undo()
 
 
-def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path, processes):
-    """A pool of the standard library starts no other process, so this test is the last of it."""
-    with pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"):
-        rhec.campaign([*short(2), LETHAL], tmp_path, processes)
+def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
+    """A pool of the standard library starts no other process."""
+    died = pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor")
+    with pool_of_one() as pool, died:
+        rhec.campaign([*short(2), LETHAL], tmp_path, pool)
 
 
 def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):
