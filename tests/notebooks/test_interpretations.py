@@ -151,10 +151,11 @@ def test_a_sweep_moves_one_number_of_w(estimator, places, state, virtual_machine
     truth = state.replace("_hat", "")
     figure = plots.errors_over_time(runs, state, truth, "error [-]", (10, 30))
     (axes,) = figure.axes
-    for line, sigma in zip(axes.lines, runs, strict=True):
+    rules = "as printed", "by prediction"
+    for line, sigma, rule in zip(axes.lines, runs, rules, strict=True):
         np.testing.assert_array_equal(line.get_xdata(), log["t_s"])
         np.testing.assert_allclose(line.get_ydata(), log[state] - log[truth], atol=1e-12)
-        assert line.get_label() == f"{sigma:g}"
+        assert line.get_label() == rf"$\sigma$ = {sigma:g}, {rule}"
     assert axes.get_xlim() == (10, 30) and len(axes.collections) == 1
     assert text_defects(figure) == []
 
