@@ -73,12 +73,13 @@ def explained(rows):
 
 
 def _one_side(sign):
-    """Undoes a left (1) or right (-1) encoder that counts backwards: ν and ω change places."""
+    """Undoes a left (1) or right (-1) encoder that counts backwards: ν and ω change places.
+
+    The half track width by which they differ is part of the slopes, whatever it is.
+    """
 
     def undone(log):
-        nu = log.rows[_NU]
-        half_m = log.recording.track_width_m / 2
-        turned = {_NU: sign * half_m * log.rows[_OMEGA], _OMEGA: sign * nu / half_m}
+        turned = {_NU: sign * log.rows[_OMEGA], _OMEGA: sign * log.rows[_NU]}
         return log.rows.assign(**turned)
 
     return undone

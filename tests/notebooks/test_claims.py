@@ -345,6 +345,14 @@ def test_to_beat_a_rival_that_is_lost_is_named_so(orders):
     outcomes = {name: finding.verdict for name, finding in findings.items()}
     # The arrival mean (G7) belongs to every claim on the RHE.
     assert outcomes["as printed"] == outcomes["smoothed arrival mean"] == LOST
+    # A rival is lost by the mean of its drives, also where most of them are good.
+    few_lost = {
+        table: rows.assign(mean_error_m=np.where(rows.index < 6, 13.0, 0.05))
+        if table == ("printed", "runs", "ekf")
+        else rows
+        for table, rows in orders.items()
+    }
+    assert findings_of(B5, few_lost)["B5"]["as printed"].verdict == LOST
     # Such a verdict rests on no interval.
     assert np.isnan(findings["as printed"].p) and findings[statistics.PREDICTION].p < 0.01
     assert outcomes[statistics.PREDICTION] == FAILS and outcomes["W consistent"] == HOLDS
