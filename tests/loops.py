@@ -12,6 +12,7 @@ from notebooks.rivals import RIVALS
 from rhec import paper
 from rhec.core.controller import rhc
 from rhec.simulation import closed_loop
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import NAMES
 from rhec.tracked_robot.kinematics import SPEED_MODELS
 
@@ -86,14 +87,22 @@ LOOPS |= {
 }
 
 
+def tuned_rules(estimator):
+    """Two rules of W, or one where an estimator is tuned by no other."""
+    usual = ("printed", "prediction")
+    noises = tuning.noises_of(estimator) if isinstance(estimator, str | rhec.Estimator) else usual
+    return [rule for rule in usual if rule in noises] or usual
+
+
 def unlike(scenario):
     """Eight scenarios of one structure that differ in all that it does not hold; steps fail."""
+    rules = tuned_rules(scenario.estimator)
     for i in range(8):
         faults = (rhec.Fault(kind="missing", start_s=2.0 + i, duration_s=1.0 + i),)
         faults += (rhec.Fault(kind="latency", delay_s=0.1 * i),)
         yield dataclasses.replace(
             scenario, seed=i,
-            process_noise=scenario.process_noise or ("printed", "prediction")[i % 2],
+            process_noise=scenario.process_noise or rules[i % len(rules)],
             q=(10.0 ** (i - 4), 1.0, 0.5 * i), r=10.0 ** (4 - i), speed_mps=0.3 + 0.1 * i,
             start_offset_m=0.5 * i - 2.0, start_yaw_rad=float(i),
             gnss_sigma_m=(0.03, 3.0, 0.0, 1e9)[i % 4],
