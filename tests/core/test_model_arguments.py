@@ -71,6 +71,14 @@ def test_an_input_that_is_not_measured_is_the_last_one_and_ten_sigma_or_one(
         np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
 
 
+def test_the_covariance_is_that_of_states_and_parameters(virtual_machine):
+    """The held input between them has none, though an output tells of it."""
+    model = model_with(outputs=("x_m", "wheel_radps"), h=lambda x, u, p: 2 * u)
+    noise = dict(sigma_v=[0.02, 0.05], sigma_w=[0.0, 0.0], guess=[0, 0.5], sigma_guess=[0.3, 0.7])
+    found = rhec.EKF(model=model, dt=0.1, **noise).step([np.nan, 1.0])
+    np.testing.assert_allclose(found.covariance, np.diag([0.3**2, 0.7**2]), rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     "bounds, noise_in_window", [(None, True), (dict(x=(0.0, 5.0)), False)], ids=str
 )

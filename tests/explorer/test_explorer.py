@@ -200,6 +200,8 @@ def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it()
         for key in ("rhe", "ekf")
     ]
     assert drifts == [True, False]
+    slipping = controls.values_of(SHORT) | dict(yaw_drift=True, speed_model="slipping")
+    assert not controls.scenario_of(slipping, "rhe", SHORT).yaw_drift
 
 
 # The widget

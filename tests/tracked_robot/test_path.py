@@ -205,6 +205,13 @@ def test_the_yaw_reference_is_in_the_turn_of_the_estimate(turns, backwards):
         np.testing.assert_allclose(np.exp(1j * xi_ref[2]), np.exp(1j * yaw), atol=1e-9)
 
 
+def test_a_path_that_comes_back_turned_is_not_closed():
+    """A loop of three quarters of a circle ends where it begins, but crosswise."""
+    loop = [(1.0, 0.0), (1.5 * np.pi, 1.0), (1.0, 0.0)]
+    with pytest.raises(ValueError, match=r"ends .* m and 1\.57 rad from where it begins"):
+        rhec.Path.from_segments(loop, closed=True)
+
+
 def test_a_closed_path_goes_round_and_an_open_one_straight_on_at_both_ends():
     points = along(RACETRACK, RACETRACK.length_m - 0.5)["xi_ref"]
     np.testing.assert_allclose(points[:2, -1], RACETRACK.poses([0.85])[0][0, :2], atol=1e-9)
