@@ -51,7 +51,7 @@ class Case(NamedTuple):
     @property
     def builds(self):
         """Which of rhec's Functions estimate and control."""
-        return (rhe.build_phases if self.papers else rhe.build_solvable), rhc.build_phases
+        return (rhe.build_live_phases if self.papers else rhe.build_solvable), rhc.build_phases
 
     def live(self, guess):
         """rhec's estimator and controller as they begin.

@@ -49,7 +49,8 @@ def test_every_peer_finds_the_same_optimum(name, loop, recorded):
 def test_peers_are_sensitive_to_every_part_of_the_data(loop, recorded):
     """Else agreement would prove little."""
     rhe, rhc = (make(loop.case, recorded[0]) for make in peers.PEERS["Opti + IPOPT"])
-    last = recorded[-1]
+    # Inputs at their bounds would stay there, whatever the data are.
+    last = min(recorded, key=lambda problem: np.abs(problem.plan).max())
     for change in (dict(z=last.z + 0.01), dict(m=last.m + 0.01), dict(H=2 * last.H)):
         assert np.abs(rhe(last._replace(**change)) - last.estimate).max() > step.TOLERANCE
     for change in (
@@ -70,10 +71,10 @@ def test_agreement_counts_the_iterations_that_convergence_takes(loop, recorded):
     assert table["rhe_maximum"].iloc[-1] <= step.TOLERANCE < table["rhe_maximum"].iloc[-iterations]
 
 
-@nightly
+@pytest.mark.nightly(keep=1)  # that the paper's robot is timed at all
 def test_who_does_not_agree_is_not_timed(loop, capsys, monkeypatch):
     def wrong(case, first):
-        return lambda problem: problem.estimate + 1e-5
+        return lambda problem: problem.estimate + 2 * step.TOLERANCE_OF_INTERIOR_POINTS
 
     def right(case, first):
         return lambda problem: problem.plan
