@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 import rhec
 from notebooks.rivals import by_name, held_traction
 from rhec.core._casadi import packing
+from rhec.core.model.robot_model import MotionNoise
 from rhec.tracked_robot import paper_rhe
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
@@ -171,3 +172,19 @@ def test_before_its_first_sample_it_says_what_an_rhe_says(virtual_machine):
         ekf.step((0.0, 0.0, 1.0, 0.0))
         assert ekf.ok and ekf.status == ""
         ekf.restart()
+
+
+@pytest.mark.parametrize("u", [0.0, -2.0, 3.0])
+def test_noise_of_ones_own_that_grows_with_the_motion_adds_up(u, virtual_machine):
+    """Over a sample without a position: R (1 + u²) dt² + W (1 + 2 u²) dt."""
+    noise = MotionNoise(
+        {}, lambda u, R, c: (u, R * (1 + u**2)), lambda u, W, dt_s, c: W * (1 + 2 * u**2) * dt_s
+    )
+    model = rhec.Model(
+        states="x", inputs="v", outputs=("x", "v"), f=lambda x, u, p: u, motion_noise=noise
+    )
+    known = dict(sigma_v=[0.1, 0.2], sigma_w=[0.3], guess=[0.0], sigma_guess=[1.0])
+    ekf = rhec.EKF(model=model, dt=0.5, **known)
+    before, after = (ekf.step([x, u]).covariance.item() for x in (0.0, np.nan))
+    added = 0.2**2 * (1 + u**2) * 0.5**2 + 0.3**2 * (1 + 2 * u**2) * 0.5
+    assert after - before == pytest.approx(added, rel=1e-9)

@@ -961,7 +961,8 @@ def test_measured_agrees_with_the_log(run):
     highest = log[["mu_hat", "kappa_hat"]].max(axis=None)
     assert highest == 1 and not shown["above_one"]  # a bound that is reached is not exceeded
     beyond = run.columns | dict(mu_hat=run.columns["mu_hat"] + 1e-6)
-    assert run_sets.measured(dataclasses.replace(run, columns=beyond))["above_one"]
+    found = run_sets.measured(dataclasses.replace(run, columns=beyond))
+    assert found["above_one"] and shown["in_bounds"] and not found["in_bounds"]
     assert (
         shown["within_bound"] == (log["omega_cmd_radps"].abs() <= 0.1).all()
         and shown["reaches_bound"] == (log["omega_cmd_radps"].abs() > 0.1 - 1e-9).any()
