@@ -128,6 +128,14 @@ def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():
     np.testing.assert_allclose(estimates, truth, atol=1e-3)
 
 
+def test_a_filter_begins_with_the_variances_of_its_guess():
+    """Its first memory is the mean, and the squares of the deviations on the diagonal."""
+    guess, sigma = np.arange(6.0), np.arange(1.0, 8.0) / 10
+    memory = by_name("augmented_ekf").first(guess, sigma).full().ravel()
+    np.testing.assert_allclose(memory[:6], guess)
+    np.testing.assert_allclose(memory[6:42].reshape(6, 6), np.diag(sigma[:6] ** 2))
+
+
 def test_the_bounded_estimate_is_the_likeliest_within_the_bounds():
     """Of the Gaussian that the augmented EKF has after one sample, by bounded least squares."""
     rng, active = np.random.default_rng(3), 0

@@ -206,6 +206,34 @@ def test_a_wild_input_beside_a_wild_position_is_not_used(factor):
     assert np.linalg.norm(places - spared, axis=-1).max() < 0.1
 
 
+def test_the_longer_no_position_came_the_farther_the_next_may_be():
+    """By the root of the number of samples, with the σ from before the gap."""
+    straight = rhec.Model(
+        states=("x", "y", "theta"),
+        inputs=("v", "omega"),
+        outputs=("x", "y", "v", "omega"),
+        f=lambda x, u, p: ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1]),
+    )
+    noise = dict(sigma_v=[0.02] * 4, sigma_w=[0.01] * 3, guess=[0] * 3, sigma_guess=[0.1, 0.1, 0.3])
+    live = rhec.RHE(model=straight, dt=0.2, horizon=5, **noise)
+
+    def is_used(beside_m, missing):
+        live.restart()
+        for k in range(30 + missing):
+            live.step([0.1 * k if k < 30 else np.nan, 0.0 if k < 30 else np.nan, 0.5, 0.0])
+        live.step([0.1 * (30 + missing), beside_m, 0.5, 0.0])
+        return live.ok
+
+    def largest_m(missing):
+        least, most = 0.0, 5.0
+        for _ in range(9):
+            middle = (least + most) / 2
+            least, most = (middle, most) if is_used(middle, missing) else (least, middle)
+        return least
+
+    assert largest_m(15) == pytest.approx(2 * largest_m(3), rel=0.1)
+
+
 @pytest.mark.parametrize(
     "steering_rad, is_kept", [(0.2, True), (-0.3, True), (0.31, True), (1.0, False), (-1.0, False)]
 )

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from docs.article import article
-from notebooks.further import faults
+from notebooks.further import faults, unknowns
 
 SOURCE = (article.ROOT / "docs/article/article.typ").read_text(encoding="utf-8")
 PROSE = SOURCE[SOURCE.index("#align(center)") :]
@@ -63,3 +63,13 @@ def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_p
         Figure(figsize=(2, 1)).savefig(project / f"figures/{name}.pdf")
     first = article.write(project).read_bytes()
     assert first.startswith(b"%PDF") and article.write(project).read_bytes() == first
+
+
+def test_the_worth_of_an_unknown_is_that_in_the_default_world(tmp_path, monkeypatch):
+    """It is the same without the other worlds of the table, which stand before it."""
+    shown = article._worth()
+    table = pd.read_csv(article.answer.RESULTS / "table_unknowns.csv")
+    alone = table[table["world"] == unknowns.DEFAULT]
+    alone.to_csv(tmp_path / "table_unknowns.csv", index=False)
+    monkeypatch.setattr(article.answer, "RESULTS", tmp_path)
+    assert len(alone) < len(table) and article._worth().equals(shown)

@@ -250,7 +250,9 @@ def test_a_changed_control_is_a_new_run_and_a_new_picture(made):
     assert len(made.runs) == 1
     title, error, line = repr(made).splitlines()
     assert title == "Explorer" and line.strip() == made.screen.line
-    assert f"RHE: mean error {made.runs[0].metrics['mean_error_m']:.4f} m" in error
+    m = made.runs[0].metrics
+    said = f"RHE: mean error {m['mean_error_m']:.4f} m, true {m['mean_error_true_m']:.4f} m"
+    assert said in error
 
 
 def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):

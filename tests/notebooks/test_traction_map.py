@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import rhec
@@ -88,6 +89,11 @@ def test_ratios_are_at_equal_seeds_and_lost_soils_do_not_count():
     soils = (len(MEANS) - 1) * len(traction_map.VARIATIONS)
     assert row["pays"] == row["soils"] == soils
     assert row["ratio"] == pytest.approx(1 / 1.5)
+
+
+def test_a_soil_that_is_half_and_one_that_is_twice_as_good_are_as_good_in_the_mean():
+    ratios = dict(told="no slip model", mean=[0.5, 2.0], high=[0.6, 2.1], error_m=0.03)
+    assert traction_map.counts(pd.DataFrame(ratios))["ratio"].tolist() == pytest.approx([1.0])
 
 
 def test_the_rule_of_thumb_can_come_out_either_way():

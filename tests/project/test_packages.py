@@ -4,6 +4,7 @@ import re
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 from packaging.requirements import Requirement
 
@@ -42,6 +43,18 @@ def test_what_an_extra_adds_is_counted_once_and_with_all_that_it_needs(monkeypat
     assert table.loc["logs", "packages"] == len(closure("rhec", "logs") - alone)
     assert 0 < table.loc["plots", "megabytes"] < table.loc["", "megabytes"]
     assert megabytes("casadi") > megabytes("tqdm") > 0
+
+
+def test_a_megabyte_is_a_million_bytes(tmp_path, monkeypatch):
+    """Compiled bytes do not count: each machine makes its own."""
+    for name in ("code.py", "code.pyc"):
+        (tmp_path / name).write_bytes(bytes(3_000_000))
+    files = [
+        SimpleNamespace(suffix=file.suffix, locate=lambda file=file: file)
+        for file in tmp_path.iterdir()
+    ]
+    monkeypatch.setattr(packages.metadata, "files", lambda name: files)
+    assert megabytes("a package that is not installed") == 3.0
 
 
 def test_packages_that_need_each_other_are_counted_once(monkeypatch):
