@@ -71,7 +71,8 @@ class Likelihood(NamedTuple):
         """The losses (n,) of the samples of each segment at x."""
         losses = [recorded["loss"] for recorded in self.filtered(x)]
         if self.counts:
-            losses = [counts * loss for counts, loss in zip(self.counts, losses)]
+            # Not a product: what does not count may be no number.
+            losses = [np.where(counts, loss, 0.0) for counts, loss in zip(self.counts, losses)]
         return losses
 
     def objective(self, x):

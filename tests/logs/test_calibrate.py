@@ -1,6 +1,7 @@
 """Calibration of a recorded robot by its log alone; what a replay says of its log."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import rhec
 from rhec.logs import calibration
 from rhec.logs.causes import tried
 from rhec.logs.filtering import OUTLIER
+from rhec.logs.likelihood import Likelihood
 
 ARM_M = (0.25, -0.1)
 # What is printed of a log with this antenna.
@@ -167,3 +169,11 @@ def test_a_hypothesis_that_holds_takes_the_place_of_what_was_assumed():
         lambda log, best: (10 * best, "ten times"),
     )
     assert [*tried(hypotheses, 2, 1)] == [(3, "more"), (30, "ten times")]
+
+
+def test_a_sample_that_does_not_count_may_have_no_loss():
+    """As where an estimator has not found its way yet."""
+    recorded = [dict(loss=np.array([np.nan, 2.0])), dict(loss=np.array([np.inf, 3.0]))]
+    counts = [np.array([False, True])] * 2
+    searched = SimpleNamespace(filtered=lambda x: recorded, counts=counts)
+    assert [each.tolist() for each in Likelihood.losses(searched, None)] == [[0, 2], [0, 3]]
