@@ -103,34 +103,60 @@ def _yaw_rate_error(evidence, confidence):
     return Finding(*statistics.mean(errors)[:4], UNTESTABLE)
 
 
-def _known_findings():
-    """{name: {condition: Finding}} of what follows from the paper's own numbers without a run."""
-    times_ms = pd.DataFrame(paper.TABLE_1_MS, index=["minimum", "average", "maximum"])
-    whole_ms, preparation_ms, feedback_ms = (
-        times_ms.xs(phase, axis=1, level=1) for phase in ("overall", "preparation", "feedback")
-    )
-    # A sample reaches the sum of two maxima only if both phases are worst at that sample.
-    apart_ms = (whole_ms - preparation_ms - feedback_ms).loc[["minimum", "maximum"]].abs()
-    average_ms = times_ms.loc["average"]
-    free_m = paper.ROW_SPACING_M - paper.STEM_WIDTH_M - paper.GNSS_ACCURACY_M - paper.ROBOT_WIDTH_M
+def _row_clearance():
+    """(row spacing - stem - GNSS - robot width) / 2 is the tolerance, to the nearest cm."""
+    taken_m = paper.STEM_WIDTH_M + paper.GNSS_ACCURACY_M + paper.ROBOT_WIDTH_M
+    return statistics.equal((paper.ROW_SPACING_M - taken_m) / 2, paper.TOLERANCE_M, 0.005)
+
+
+def _sampling_time():
+    """The sampling time is in the range of milliseconds: below 100 of them."""
+    return statistics.between(paper.DT_S, below=0.1)
+
+
+def _process_noise_sizes():
+    """Every entry of W of a measured quantity exceeds every entry of one that is not measured.
+
+    It is judged by the ratio of the smallest of the former to the largest of the latter.
+    """
     measured = np.take(paper.SIGMA_W_RHE, [0, 1, 3])  # x, y, ν
     unmeasured = np.take(paper.SIGMA_W_RHE, [2, 4, 5])  # θ, μ, κ
-    between, equal = statistics.between, statistics.equal
-    alone = {
-        "untestable": Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE),
-        "row_clearance": equal(free_m / 2, paper.TOLERANCE_M, 0.005),  # to the nearest cm
-        "sampling_time": between(paper.DT_S, below=0.1),  # in the range of milliseconds
-        "process_noise_sizes": between(min(measured) / max(unmeasured), above=1),
-        "table_sums": equal(average_ms[[*timing.PHASES]].sum(), paper.STEP_MEAN_MS, 0.01),
-        "table_extremes": between(apart_ms.min(axis=None), above=2e-4),
-        "feedback_share": between(feedback_ms.loc["average"].sum() / paper.STEP_MEAN_MS, below=1),
-    }
-    # The paper counts two parameters in eq. (6).
-    counts = {
-        condition: equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
-        for condition, speed_model in {AS_PRINTED: "parameter", "ν as input": "input"}.items()
-    }
-    return {name: {"": finding} for name, finding in alone.items()} | {"parameters_of_p": counts}
+    return statistics.between(min(measured) / max(unmeasured), above=1)
+
+
+def _table_1():
+    """The times [ms] of Table 1: a DataFrame, a row each of minimum, average and maximum."""
+    return pd.DataFrame(paper.TABLE_1_MS, index=["minimum", "average", "maximum"])
+
+
+def _table_sums():
+    """The averages of the four phases add up to that of the whole step."""
+    phases_ms = _table_1().loc["average", [*timing.PHASES]].sum()
+    return statistics.equal(phases_ms, paper.STEP_MEAN_MS, 0.01)
+
+
+def _table_extremes():
+    """Overall minimum and maximum of RHE and RHC are not the sums of the two phases' extremes.
+
+    A sample reaches the sum of two maxima only if both phases are worst at that sample. It is
+    judged by the smallest of the four differences [ms].
+    """
+    whole_ms, preparation_ms, feedback_ms = (
+        _table_1().xs(phase, axis=1, level=1) for phase in ("overall", "preparation", "feedback")
+    )
+    apart_ms = (whole_ms - preparation_ms - feedback_ms).loc[["minimum", "maximum"]].abs()
+    return statistics.between(apart_ms.min(axis=None), above=2e-4)
+
+
+def _feedback_share():
+    """The feedback phases of RHE and RHC are less than the whole step, by the paper's averages."""
+    feedback_ms = _table_1().xs("feedback", axis=1, level=1).loc["average"].sum()
+    return statistics.between(feedback_ms / paper.STEP_MEAN_MS, below=1)
+
+
+def _parameters_of_p(speed_model):
+    """Eq. (6) has the two parameters that the paper counts."""
+    return statistics.equal(len(SPEED_MODELS[speed_model].model.parameters), 2, 0)
 
 
 def _known(finding):
@@ -139,10 +165,19 @@ def _known(finding):
 
 
 _EXACT_RULES = {  # name: {condition: Condition}
-    name: {condition: _known(finding) for condition, finding in findings.items()}
-    for name, findings in _known_findings().items()
+    "untestable": {"": _known(Finding(np.nan, np.nan, np.nan, 0, UNTESTABLE))},
+    "yaw_rate_error": {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))},
+    "row_clearance": {"": _known(_row_clearance())},
+    "sampling_time": {"": _known(_sampling_time())},
+    "process_noise_sizes": {"": _known(_process_noise_sizes())},
+    "table_sums": {"": _known(_table_sums())},
+    "table_extremes": {"": _known(_table_extremes())},
+    "feedback_share": {"": _known(_feedback_share())},
+    "parameters_of_p": {
+        AS_PRINTED: _known(_parameters_of_p("parameter")),
+        "ν as input": _known(_parameters_of_p("input")),
+    },
 }
-_EXACT_RULES["yaw_rate_error"] = {"": Condition(_yaw_rate_error, (("printed", "logs", "rhe"),))}
 
 
 # Rules on tables
