@@ -130,7 +130,8 @@ def test_an_interval_is_predicted_with_the_traction_it_was_driven_on():
 
 def test_a_filter_begins_with_the_variances_of_its_guess():
     """Its first memory is the mean, and the squares of the deviations on the diagonal."""
-    guess, sigma = np.arange(6.0), np.arange(1.0, 8.0) / 10
+    guess = np.arange(6.0)
+    sigma = np.arange(1.0, 8.0) / 10
     memory = by_name("augmented_ekf").first(guess, sigma).full().ravel()
     np.testing.assert_allclose(memory[:6], guess)
     np.testing.assert_allclose(memory[6:42].reshape(6, 6), np.diag(sigma[:6] ** 2))

@@ -219,16 +219,22 @@ def test_the_longer_no_position_came_the_farther_the_next_may_be():
 
     def is_used(beside_m, missing):
         live.restart()
-        for k in range(30 + missing):
-            live.step([0.1 * k if k < 30 else np.nan, 0.0 if k < 30 else np.nan, 0.5, 0.0])
+        for k in range(30):
+            live.step([0.1 * k, 0.0, 0.5, 0.0])
+        for _ in range(missing):
+            live.step([np.nan, np.nan, 0.5, 0.0])
         live.step([0.1 * (30 + missing), beside_m, 0.5, 0.0])
         return live.ok
 
     def largest_m(missing):
-        least, most = 0.0, 5.0
+        least = 0.0
+        most = 5.0
         for _ in range(9):
             middle = (least + most) / 2
-            least, most = (middle, most) if is_used(middle, missing) else (least, middle)
+            if is_used(middle, missing):
+                least = middle
+            else:
+                most = middle
         return least
 
     assert largest_m(15) == pytest.approx(2 * largest_m(3), rel=0.1)
