@@ -688,7 +688,8 @@ def test_every_widget_is_on_the_screen(made):
 
 
 def test_loops_are_optimised_from_the_first_change_on(made, monkeypatch):
-    optimised, begun = [], []
+    optimised = []
+    begun = []
     monkeypatch.setattr(
         explorer.early, "optimise", lambda build, structures: optimised.append(len(structures))
     )

@@ -116,7 +116,8 @@ def test_a_rival_that_is_told_the_truth_has_no_error(name, p):
 @pytest.mark.parametrize("name", rivals.RIVALS)
 def test_the_deviance_of_a_robot_that_stands_is_that_of_its_positions(name):
     """Oracle: positions with a common place, of which 1 m was known, and white errors."""
-    n, sigma_m = 40, 0.1
+    n = 40
+    sigma_m = 0.1
     positions = sigma_m * np.random.default_rng(1).standard_normal((n, 2))
     log = pd.DataFrame(dict(t_s=0.2 * np.arange(n), v_left_mps=0.0, v_right_mps=0.0))
     log = log.assign(x_m=positions[:, 0], y_m=positions[:, 1])
