@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from rhec.logs.finding import passed, refused
-from rhec.logs.path_checks import LENGTHS_S, compare, tracks_of
+from rhec.logs.path_checks import LENGTHS_S, compare, intervals_of, tracks_of
 from rhec.logs.recording import Recording
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -59,14 +59,14 @@ class _Log(NamedTuple):
 
 
 def explained(rows):
-    """The slopes (μ, κ) of the path on the encoders and the share that both explain of the squares.
+    """The slope κ of the path on the encoders and the share that both explain of the squares.
 
     Of the lengths of intervals that counts which explains most. None for a short log.
     """
     tracks = tracks_of(rows)
-    compared = [compare(tracks, length_s, 0.0) for length_s in LENGTHS_S]
-    shares = [(mu, kappa, 1 - left.sum() / 2) for mu, kappa, left in filter(None, compared)]
-    return max(shares, key=lambda each: each[2], default=None)
+    compared = [compare(intervals_of(tracks, length_s), 0.0) for length_s in LENGTHS_S]
+    shares = [(each.turns.b[0], 1 - each.unexplained.sum() / 2) for each in filter(None, compared)]
+    return max(shares, key=lambda each: each[1], default=None)
 
 
 # Faults that can be undone
@@ -224,16 +224,16 @@ def _undone(undo, fact, remedy):
     def hypothesis(log, share):
         rows = undo(log)
         found = None if rows is None else explained(rows)
-        if not found or found[1].value <= 0 or found[2] <= max(_GOOD, 1 - (1 - share) / _BETTER):
+        if not found or found[0] <= 0 or found[1] <= max(_GOOD, 1 - (1 - share) / _BETTER):
             return None
         named = fact.format(
             speed=log.recording.columns[_NU], yaw_rate=log.recording.columns[_OMEGA]
         )
         told = (
-            f"{named}: so the encoders explain {found[2]:.0%} of the path, and as they are "
+            f"{named}: so the encoders explain {found[1]:.0%} of the path, and as they are "
             f"{max(log.share, 0):.0%}"
         )
-        return found[2], refused(told, "sign", remedy)
+        return found[1], refused(told, "sign", remedy)
 
     return hypothesis
 
@@ -282,10 +282,10 @@ def find(recording):
         as_it_is = explained(recording.rows)
         if as_it_is is None:
             return
-        _, slope, share = as_it_is
+        kappa, share = as_it_is
         if share > _GOOD:
             return
-        log = _Log(recording, max(slope.value, 0.0), share)
+        log = _Log(recording, max(kappa, 0.0), share)
         # A later one that holds leaves a third of what the one before it leaves.
         found = [finding for _, finding in tried(_HYPOTHESES, log, share)]
     yield from found[-1:]

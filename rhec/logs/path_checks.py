@@ -21,7 +21,6 @@ _ENCODERS = MEASUREMENTS[2:]
 # Lengths of the intervals. The shortest one in which motion exceeds the noise is used.
 LENGTHS_S = (0.6, 1.2, 2.4)
 _DELAYS_S = np.arange(-20, 21) / 10  # that are tried
-_NO_DELAY = 20  # its place among these
 # The motion explains the path if it explains more than this share of the squares.
 _CLEAR_SHARE = 0.5
 _LEAST_GAIN = 0.005  # of that share, by a delay
@@ -113,7 +112,7 @@ class _Motion(NamedTuple):
 
     delay_s: float  # the likeliest delay of the positions
     sigma_s: float  # its standard deviation
-    in_time: tuple  # (μ, κ) by `compare` without a delay
+    in_time: tuple  # slopes (μ, κ) without a delay
     late: tuple  # and with this delay
 
 
@@ -142,36 +141,55 @@ def tracks_of(rows):
     return tracks
 
 
-def _moves(tracks, length_s, delay_s):
-    """Motion of antenna and tracks in intervals of one length, for late positions, (7, intervals).
+class _Intervals(NamedTuple):
+    """The path of a _Track over m intervals of one length, each of which begins in the one before.
+
+    An interval, the next one and the interval between both use five instants.
+    """
+
+    at: np.ndarray  # (m + 4,) instants, half an interval apart [s]
+    t_encoders: np.ndarray  # times of the encoder measurements [s]
+    motion: np.ndarray  # driven + i turned until then [m, rad]
+    d: np.ndarray  # (m,) how far the antenna moves [m]
+    turn: np.ndarray  # (m,) of the course to the next interval [rad]
+    weight: np.ndarray  # (m,) of that turn [m²]
+    is_dense: np.ndarray  # (m,) whether there are positions throughout
+
+
+def intervals_of(tracks, length_s):
+    """The _Intervals of the tracks that have any."""
+    found = []
+    for track in tracks:
+        at = np.arange(track.t[0], track.t[-1], length_s / 2)
+        if len(at) < 5:
+            continue
+        p = np.interp(at, track.t, track.position)
+        step = p[2:] - p[:-2]
+        turned = step[2:] * step[:-2].conj()
+        gap_s = np.interp(at, track.t[1:], np.diff(track.t))
+        longest_s = np.lib.stride_tricks.sliding_window_view(gap_s, 5).max(axis=1)
+        path = np.abs(step[:-2]), np.angle(turned), np.abs(turned), longest_s < length_s
+        found.append(_Intervals(at, track.t_encoders, track.driven + 1j * track.turned, *path))
+    return found
+
+
+def _moves(intervals, delay_s):
+    """Motion of antenna and tracks in all _Intervals, for late positions, (7, intervals).
 
     These are d, n, w, the turn of the course to the next interval, w between the two intervals, the
     change of w/n from one to the other, and the weight of that turn.
     """
     parts = [np.zeros((7, 0))]
-    for track in tracks:
-        # Each column uses five instants k, …, k + 4 that are half an interval apart.
-        at = np.arange(track.t[0], track.t[-1], length_s / 2)
-        if len(at) < 5:
-            continue
-        p = np.interp(at, track.t, track.position)
-        n = np.interp(at - delay_s, track.t_encoders, track.driven)
-        w = np.interp(at - delay_s, track.t_encoders, track.turned)
-        step, n_step, w_step = (each[2:] - each[:-2] for each in (p, n, w))
-        curvature = _curvature(w_step, n_step)
-        keeps_direction = n_step[:-2] * n_step[2:] > 0  # forwards or backwards
-        moves = [
-            np.abs(step[:-2]),
-            n_step[:-2],
-            w_step[:-2],
-            np.angle(step[2:] * step[:-2].conj()),
-            w_step[1:-1],
-            curvature[2:] - curvature[:-2],
-            np.abs(step[2:] * step[:-2]) * keeps_direction,
-        ]
-        gap_s = np.interp(at, track.t[1:], np.diff(track.t))
-        longest_s = np.lib.stride_tricks.sliding_window_view(gap_s, 5).max(axis=1)
-        parts.append(np.array(moves)[:, longest_s < length_s])
+    for each in intervals:
+        motion = np.interp(each.at - delay_s, each.t_encoders, each.motion)
+        step = motion[2:] - motion[:-2]
+        n, w = step.real, step.imag
+        curvature = _curvature(w, n)
+        keeps_direction = n[:-2] * n[2:] > 0  # forwards or backwards
+        bend = curvature[2:] - curvature[:-2]
+        weight = each.weight * keeps_direction
+        moves = [each.d, n[:-2], w[:-2], each.turn, w[1:-1], bend, weight]
+        parts.append(np.array(moves)[:, each.is_dense])
     return np.concatenate(parts, axis=1)
 
 
@@ -181,47 +199,75 @@ def _curvature(w, n):
     return np.clip(ratio, -_SHARPEST_PER_M, _SHARPEST_PER_M)
 
 
-def _least_squares(x, y):
-    """The least-squares fit y = x b: b, and the squares it leaves, (n,)."""
-    b = np.linalg.lstsq(x, y)[0]
-    return b, (y - x @ b) ** 2
+class _Fit(NamedTuple):
+    """The least-squares fit y = x b."""
+
+    x: np.ndarray  # (n, m)
+    y: np.ndarray  # (n,)
+    b: np.ndarray  # (m,)
+    left: np.ndarray  # (n,) squares that it leaves
+
+    @property
+    def sigma(self):
+        """The standard error of b_0."""
+        variance = self.left.mean() * np.linalg.pinv(self.x.T @ self.x)[0, 0]
+        return np.sqrt(max(variance, 0))
 
 
 def _fit(x, y):
-    """The least-squares fit y = x b: b_0, its standard error, and the squares it leaves, (n,)."""
-    b, squares = _least_squares(x, y)
-    variance = squares.mean() * np.linalg.pinv(x.T @ x)[0, 0]
-    return b[0], np.sqrt(max(variance, 0)), squares
+    b = np.linalg.lstsq(x, y)[0]
+    return _Fit(x, y, b, (y - x @ b) ** 2)
 
 
-def compare(tracks, length_s, delay_s):
-    """Compare path and encoders over intervals of one length, for late positions.
+class Comparison(NamedTuple):
+    """Path and encoders over intervals of one length, for late positions."""
 
-    Returns:
-        The _Slope of distance by positions over encoders, μ, and of turns, κ, and how much of its
-        motion and its turn is not explained, (intervals,), as shares of the squares in all. None
-        for few intervals.
-    """
-    d, n, w, turn, w_turn, bend, weight = _moves(tracks, length_s, delay_s)
+    distances: _Fit  # d² = μ² n² + a w² + b n w + c
+    turns: _Fit  # of the course, κ w + e Δ(w/n), by the root of their weights
+
+    @property
+    def squares(self):
+        """Those of the distances, at least those that are left."""
+        y = self.distances.y
+        return max(np.sum((y - y.mean()) ** 2), self.distances.left.sum(), 1e-300)
+
+    @property
+    def share(self):
+        """The share of the squares of the distances that the encoders explain."""
+        return 1 - self.distances.left.sum() / self.squares
+
+    @property
+    def unexplained(self):
+        """How much of motion and turn is not explained, (intervals,), shares of the squares."""
+        of_turns = self.turns.left / max(self.turns.y @ self.turns.y, 1e-300)
+        return self.distances.left / self.squares + of_turns
+
+    @property
+    def slopes(self):
+        """The _Slope of distance by positions over encoders, μ, and of turns, κ."""
+        x, y, _, left = self.distances
+        # At a constant speed the intervals do not determine c, so a prior is added.
+        prior = np.sqrt(left.mean()) / _SIGMA_C * np.eye(4)[3:]
+        known = _fit(np.append(x, prior, axis=0), np.append(y, 0))
+        mu = np.sqrt(max(known.b[0], 1e-14))
+        without = _fit(self.turns.x[:, 1:], self.turns.y).left
+        share = 1 - self.turns.left.sum() / without.sum() if without.any() else 0.0
+        return (
+            _Slope(mu, known.sigma / (2 * mu), self.share),
+            _Slope(self.turns.b[0], self.turns.sigma, share),
+        )
+
+
+def compare(intervals, delay_s):
+    """The Comparison of path and encoders over _Intervals; None for few of them."""
+    d, n, w, turn, w_turn, bend, weight = _moves(intervals, delay_s)
     if len(d) < _LEAST_INTERVALS:
         return None
-    # d² = μ² n² + a w² + b n w + c
-    x = np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1)
-    y = d**2
-    _, left = _least_squares(x, y)
-    squares = max(np.sum((y - y.mean()) ** 2), left.sum(), 1e-300)
-    # At a constant speed the intervals do not determine c, so a prior is added.
-    prior = np.sqrt(left.mean()) / _SIGMA_C * np.eye(4)[3:]
-    mu2, sigma, _ = _fit(np.append(x, prior, axis=0), np.append(y, 0))
-    mu = np.sqrt(max(mu2, 1e-14))
-    mu = _Slope(mu, sigma / (2 * mu), 1 - left.sum() / squares)
     root = np.sqrt(weight)
-    x = root[:, None] * np.stack([w_turn, bend], axis=1)
-    kappa, sigma, left_of_turn = _fit(x, root * turn)
-    _, without = _least_squares(x[:, 1:], root * turn)
-    share = 1 - left_of_turn.sum() / without.sum() if without.any() else 0.0
-    unexplained = left / squares + left_of_turn / max(weight @ turn**2, 1e-300)
-    return mu, _Slope(kappa, sigma, share), unexplained
+    return Comparison(
+        _fit(np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1), d**2),
+        _fit(root[:, None] * np.stack([w_turn, bend], axis=1), root * turn),
+    )
 
 
 @np.errstate(all="ignore")
@@ -229,15 +275,16 @@ def _motion(rows):
     """The _Motion of a log; None if it is too short."""
     tracks = tracks_of(rows)
     for length_s in LENGTHS_S:
-        compared = [compare(tracks, length_s, delay_s) for delay_s in _DELAYS_S]
-        if compared[0] is None:
+        intervals = intervals_of(tracks, length_s)
+        if compare(intervals, 0.0) is None:
             return None
-        if max(mu.share for mu, _, _ in compared) > _CLEAR_SHARE:
+        compared = (compare(intervals, delay_s) for delay_s in _DELAYS_S)
+        shares, losses = zip(*((each.share, each.unexplained) for each in compared))
+        if max(shares) > _CLEAR_SHARE:
             break
-    losses = np.array([unexplained for _, _, unexplained in compared])
-    delay_s, sigma_s = minimum.least(_DELAYS_S, losses)
-    late = compare(tracks, length_s, delay_s)[:2]
-    return _Motion(delay_s, sigma_s, compared[_NO_DELAY][:2], late)
+    delay_s, sigma_s = minimum.least(_DELAYS_S, np.array(losses))
+    in_time, late = (compare(intervals, each).slopes for each in (0.0, delay_s))
+    return _Motion(delay_s, sigma_s, in_time, late)
 
 
 def likeliest_delay(recording):
@@ -345,5 +392,6 @@ def check_clock_offset(recording):
 @np.errstate(all="ignore")
 def _shares(tracks, offsets_s):
     """{offset of the clocks: share of the squares of the distances that the encoders explain}."""
-    compared = {each: compare(tracks, LENGTHS_S[-1], each) for each in offsets_s}
-    return {each: slopes[0].share for each, slopes in compared.items() if slopes}
+    intervals = intervals_of(tracks, LENGTHS_S[-1])
+    compared = {each: compare(intervals, each) for each in offsets_s}
+    return {offset_s: each.share for offset_s, each in compared.items() if each}
