@@ -169,7 +169,7 @@ def _check_silence(recording):
     drives = rows[_NU].abs() > MOVING
     silent = (("positions", _X, drives), ("encoder speeds", _NU, is_carried))
     for what, column, sees_motion in silent:
-        gap_s = _silence_s(rows, column)[sees_motion].max()
+        gap_s = _silence_s(rows, column)[sees_motion].max(initial=0.0)
         if gap_s > _LONGEST_GAP_S:
             yield note(
                 "dropout",
@@ -181,10 +181,11 @@ def _check_silence(recording):
 
 def _silence_s(rows, column):
     """Time since the last number of a column before each row [s], without pauses."""
-    step_s = rows.groupby("segment")["t_s"].diff().clip(upper=1.0).fillna(0.0)
-    is_there = rows[column].notna()
-    n_before = is_there.cumsum() - is_there
-    return step_s.groupby([rows["segment"], n_before]).cumsum()
+    begins = rows["segment"].diff().to_numpy() != 0
+    step_s = np.where(begins, 0.0, rows["t_s"].diff().clip(upper=1.0))
+    until_s = np.cumsum(step_s)
+    follows = begins | rows[column].notna().shift(fill_value=False)
+    return until_s - np.maximum.accumulate(np.where(follows, until_s - step_s, 0.0))
 
 
 def _check_left_out(recording):

@@ -1,5 +1,7 @@
 """How far a robot drives and turns by its encoders, and how often its sensors measure."""
 
+import numpy as np
+
 from rhec.simulation.columns import MEASUREMENTS
 
 _ENCODERS = MEASUREMENTS[2:]
@@ -24,12 +26,13 @@ def travelled(rows, column, window_s=None):
         column: Name of a speed [m/s] or yaw rate [rad/s].
         window_s: Length of the windows [s], in which noise and motion to and fro cancel.
     """
-    there = rows[rows[column].notna()]
-    step_s = there.groupby("segment")["t_s"].diff().clip(upper=1.0)
-    moves = there[column] * step_s
+    segment, t_s, speed, step_s = _measured(rows, column)
+    moves = np.nan_to_num(speed * np.minimum(step_s, 1.0))
     if window_s:
-        moves = moves.groupby([there["segment"], there["t_s"] // window_s]).sum()
-    return float(moves.abs().sum())
+        windows = np.array([segment, t_s // window_s])
+        begins = (np.diff(windows, prepend=np.nan) != 0).any(axis=0)
+        moves = np.add.reduceat(moves, np.flatnonzero(begins))
+    return float(np.abs(moves).sum())
 
 
 def turned_rad(rows):
@@ -39,5 +42,17 @@ def turned_rad(rows):
 
 def period_s(rows, column):
     """Median time between the measurements of a column [s]; 0 with fewer than two."""
-    step_s = rows[rows[column].notna()].groupby("segment")["t_s"].diff()
-    return float(step_s.median()) if step_s.notna().any() else 0.0
+    *_, step_s = _measured(rows, column)
+    known_s = step_s[np.isfinite(step_s)]
+    return float(np.median(known_s)) if len(known_s) else 0.0
+
+
+def _measured(rows, column):
+    """Segments, times [s], numbers of a column, and the times since the one before, (n,) each.
+
+    The last are NaN for the first number of a segment.
+    """
+    columns = rows[["segment", "t_s", column]].to_numpy()
+    segment, t_s, number = columns[np.isfinite(columns[:, 2])].T
+    is_next = np.diff(segment, prepend=np.nan) == 0
+    return segment, t_s, number, np.where(is_next, np.diff(t_s, prepend=np.nan), np.nan)

@@ -123,9 +123,9 @@ def prepare(log, track_width_m=None):
     """
     is_simulated = isinstance(log, pd.DataFrame) and MEASUREMENTS[0] in log
     values, columns = _parse_robot(log, is_simulated, track_width_m)
-    n_positions = values[_POSITION].dropna().shape[0]
+    n_positions = _has_position(values).sum()
     _leave_out_flagged(values, log)
-    flagged = n_positions - values[_POSITION].dropna().shape[0]
+    flagged = int(n_positions - _has_position(values).sum())
     limits = dict(zip(MEASUREMENTS, SPEED_MODELS["parameter"].model.limits))
     limits |= {sensor.column: sensor.limit for sensor in sensors.SENSORS.values()}
     present = {name: limit for name, limit in limits.items() if name in values}
@@ -133,7 +133,7 @@ def prepare(log, track_width_m=None):
     for name in _ENCODERS:
         left_out[name] += _drop_spikes(values, name)
     # A position with one coordinate is missing.
-    values.loc[values[_POSITION].isna().any(axis=1), _POSITION] = np.nan
+    values.loc[~_has_position(values), _POSITION] = np.nan
     values, places, n_repeated = _joined(values)
     rows, usable = _usable_rows(values, len(log), paper.DT_S)
     left_out[_POSITION[0]], jumps_m = _split_at_jumps(rows)
@@ -248,6 +248,10 @@ def _parse_robot(log, is_simulated, track_width_m):
     return values, truth | sensors | measured
 
 
+def _has_position(values):
+    return np.isfinite(values[_POSITION].to_numpy()).all(axis=1)
+
+
 def _leave_out_flagged(values, log):
     """Set measurements to NaN in rows of a log in which their column of _FLAGS is false."""
     for flag, flagged in _FLAGS.items():
@@ -273,6 +277,8 @@ def _joined(values):
     """
     times = values[["segment", "t_s"]]
     begins = ~(times.diff() == 0).all(axis=1)
+    if begins.all():
+        return values, np.arange(len(values)), 0
     run = begins.cumsum()
     repeats = (values.drop(columns=[*times]).groupby(run).count() > 1).any(axis=1)
     n_repeated = int((~begins & run.map(repeats)).sum())
@@ -375,12 +381,14 @@ def _drop_spikes(values, name):
 
     A row may so depend on the next one, and on none after it.
     """
-    numbers = values.loc[values[name].notna(), ["segment", name]]
-    by_segment = numbers.groupby("segment")[name]
-    before = numbers[name] - by_segment.shift(1)
-    after = numbers[name] - by_segment.shift(-1)
-    is_spike = (before * after > 0) & (np.minimum(before.abs(), after.abs()) > _SPIKE)
-    values.loc[is_spike.index[is_spike], name] = np.nan
+    segments, numbers = (values[each].to_numpy() for each in ("segment", name))
+    there = np.flatnonzero(np.isfinite(numbers))
+    there = there[np.argsort(segments[there], kind="stable")]
+    step = np.where(np.diff(segments[there]) == 0, np.diff(numbers[there]), np.nan)
+    before = np.append(np.nan, step)
+    after = np.append(-step, np.nan)
+    is_spike = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > _SPIKE)
+    values.loc[values.index[there[is_spike]], name] = np.nan
     return int(is_spike.sum())
 
 
