@@ -464,7 +464,7 @@ def _used_part(part, of_sensors):
     return used
 
 
-def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=None):
+def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False):
     """Estimates of a Recording by a scenario's estimator.
 
     Args:
@@ -472,13 +472,12 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False, samples=
         scenario: The Scenario of the estimator, as `replay_scenario` returns it.
         first: The InitialGuess.
         smooth: Whether later measurements count, too (`rhec.logs.smoother`).
-        samples: What the estimator receives, as of `Recording.samples`, which is the default.
 
     Returns:
         DataFrame, one row for each sample of the estimator.
     """
     how = replay_of(scenario)
-    samples = samples or recording.samples()
+    samples = recording.samples()
     parts = []
     for number, (part, used) in enumerate(zip(samples, used_samples(samples, scenario))):
         stream = with_ages(used, how.measured)

@@ -45,6 +45,7 @@ def driven():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_fields_of_any_type_become_columns(tmp_path, kind):
+    """Of messages with the same stamp the one that comes first counts."""
     columns = {
         "x_m": "/odom.pose.pose.position.x",
         "y_m": "/odom.pose.pose.position.y",
@@ -55,7 +56,9 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
         "sent_s": "/odom.header.stamp",
         "again_m": "y_m",  # no field, but a column that is one
     }
-    log = rhec.logs.read(write_bag(tmp_path, kind, driven()), columns=columns)
+    again = [("/drive", DRIVE, at(row), drive([99, 99, 99, 99], 99)) for row in range(N)]
+    again += [("/odom", ODOMETRY, at(row), odometry(99, 99, 99, 99)) for row in range(N)]
+    log = rhec.logs.read(write_bag(tmp_path, kind, driven() + again), columns=columns)
     rows = np.arange(N)
     expected = dict(t_s=0.1 * rows, x_m=rows, y_m=-rows, v_left_mps=rows, v_right_mps=4 + rows)
     expected |= dict(gyro_radps=0.5 * rows, heading_rad=0, again_m=-rows)

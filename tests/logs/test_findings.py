@@ -5,6 +5,7 @@ The logs are simulated; at night the published ones of four robots must be healt
 """
 
 import functools
+import itertools
 import json
 import re
 import warnings
@@ -25,7 +26,6 @@ from rhec import paper
 from rhec.cli import main
 from rhec.logs import path_checks
 from rhec.logs import replay as module
-from rhec.logs.checks import facts
 from rhec.logs.path_checks import likeliest_delay
 from rhec.logs.recording import prepare
 
@@ -694,13 +694,32 @@ def test_a_delay_explains_distances_and_turns(share_of_turns, is_late):
     assert path_checks.positions_are_late(motion) == is_late
 
 
-def test_how_many_positions_count_is_always_said():
-    assert rhec.doctor(LOG).facts["positions_usable"] == 1
-    few = rhec.doctor(LOG.assign(pos_ok=LOG.index % 4 == 0))
-    assert few.ok
-    assert few.facts["positions_usable"] == pytest.approx(0.25, abs=0.01)
-    half = rhec.doctor(LOG.assign(encoders_ok=LOG.index % 2)).facts["encoders_hz"]
-    assert half == pytest.approx(5, abs=0.01)
+def test_facts_are_those_of_a_plain_loop_over_the_rows():
+    """Of two drives, one with a pause, among rows of an IMU; a pause counts for a second at most.
+
+    Of positions and encoders few count, and the first time after a pause is doubted.
+    """
+    second = LOG[:300].assign(segment=1, t_s=T + 20.0 * (T > 15))
+    log = pd.concat([LOG[:400].assign(segment=0), second], ignore_index=True)
+    log = log.assign(pos_ok=log.index % 4 == 0, encoders_ok=log.index % 3 == 0)
+    imu = pd.DataFrame(dict(t_s=log["t_s"] + 0.05, segment=log["segment"], gyro_radps=0.1))
+    imu = imu.assign(pos_ok=True, encoders_ok=True)
+    expected = dict(duration_s=0.0, rows_usable=1 - 1 / 1400, driven_m=0.0, turned_rad=0.0)
+    expected |= dict(positions_usable=log["pos_ok"].mean())
+    steps_s = dict(pos_ok=[], encoders_ok=[])
+    for _, drive in log.groupby("segment"):
+        expected["duration_s"] += drive["t_s"].max() + 0.05 - drive["t_s"].min()
+        for flag, steps in steps_s.items():
+            for one, other in itertools.pairwise(drive[drive[flag]].itertuples()):
+                steps.append(other.t_s - one.t_s)
+                if flag == "encoders_ok":
+                    expected["driven_m"] += abs(other.speed_mps) * min(steps[-1], 1.0)
+                    expected["turned_rad"] += abs(other.yaw_rate_radps) * min(steps[-1], 1.0)
+    expected["positions_hz"] = 1 / np.median(steps_s["pos_ok"])
+    expected["encoders_hz"] = 1 / np.median(steps_s["encoders_ok"])
+    both = pd.concat([log, imu]).sort_values(["segment", "t_s"], ignore_index=True)
+    found = rhec.doctor(both).facts
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -729,12 +748,3 @@ def test_the_command_ends_with_the_exit_code_of_its_findings(tmp_path, capsys):
     assert main(["log", str(tmp_path / "east.csv"), "--check", "--columns", "x_m=east"]) == 0
     assert main(["log", str(tmp_path / "none.csv"), "--check"]) == 2
     assert "none.csv" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("every", [1, 2, 5])
-def test_rates_are_told_of_positions_and_of_encoders(every):
-    log = recorded_log(10.0, 20.0)
-    log.loc[log.index % every > 0, ["x_m", "y_m"]] = np.nan
-    found = facts(prepare(log))
-    rates = found["positions_hz"], found["encoders_hz"]
-    assert rates == pytest.approx((10.0 / every, 10.0), rel=1e-6)

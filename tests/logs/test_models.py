@@ -8,6 +8,7 @@ from helpers import assert_refused
 from spoilt_logs import another_future
 
 import rhec
+from rhec.logs.likelihood import Likelihood
 
 # Replay
 
@@ -158,11 +159,11 @@ GUESSED = dict(
 )
 
 
-def drive(seed, n=800):
+def drive(seed, n=800, swing_radps=0.4):
     """A log with the noise SIGMA_V, and the true positions (n, 2)."""
     noise = np.random.default_rng(seed).standard_normal((n, 4)) * SIGMA_V
     t = DT_S * np.arange(n)
-    omega = 0.4 * np.sin(0.2 * t + seed)
+    omega = swing_radps * np.sin(0.2 * t + seed)
     yaw = np.append(0.4, 0.4 + np.cumsum(KAPPA * omega[1:] * DT_S))
     middle = (yaw[1:] + yaw[:-1]) / 2
     step = MU * 0.6 * DT_S * np.exp(1j * middle)
@@ -195,6 +196,19 @@ def test_parameters_are_reported_and_zeros_remain(calibrated):
     assert calibrated["sigma_w"][3:] == (0.0, 0.0)
     assert "process noise of mu" not in calibrated.report.index
     assert "noise of x_m" in str(calibrated)
+
+
+@pytest.mark.parametrize("swing_radps, is_determined", [(0.03, True), (0.02, False)])
+def test_a_parameter_is_determined_where_the_log_halves_its_sigma(
+    swing_radps, is_determined, monkeypatch
+):
+    """That of κ is 0.2 before the log, which here takes the noise as given."""
+    monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
+    log, _ = drive(0, 100, swing_radps)
+    row = rhec.calibrate(log, **GUESSED | dict(sigma_v=SIGMA_V)).report.loc["kappa"]
+    sigma = (row["high"] - row["low"]) / (2 * 1.96)
+    assert 0.08 < sigma < 0.12
+    assert row["determined"] == is_determined == (sigma < 0.1)
 
 
 def test_a_replay_takes_a_calibration_and_becomes_better(calibrated):

@@ -1,5 +1,6 @@
 """The smoother of a replay, delays of positions, and a calibration in the terms of ROS."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import casadi as ca
@@ -12,7 +13,9 @@ import rhec
 from notebooks.further.recorded.scores import yaw_error
 from rhec.core.estimator.estimate import noise_of
 from rhec.logs import filtering, smoother
-from rhec.simulation.columns import ESTIMATE
+from rhec.logs.recording import prepare
+from rhec.logs.replay import estimate_samples, replay_scenario
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS
 
 LOG = recorded_log(5.0, 120.0, noise_m=0.05, seed=1)
 START = dict(first_yaw_rad=0.7)  # 0.3 rad wrong
@@ -57,13 +60,18 @@ def test_a_smoothed_estimate_depends_on_later_measurements(smoothed):
     assert difference[LOG["t_s"] < 60].max() < 0.005
 
 
-def test_what_the_estimator_rejects_does_not_count_later():
-    wild = LOG.copy()
-    wild.loc[[300, 301, 400], ["x_m", "y_m"]] += 5.0
-    result = rhec.replay(wild, **START)
-    assert not result["position_accepted"][[300, 301, 400]].any()
-    off = np.hypot(result["x_hat_m"] - result["x_m"], result["y_hat_m"] - result["y_m"])
-    assert off[290:410].max() < 0.2
+@pytest.mark.parametrize("pair", [MEASUREMENTS[:2], MEASUREMENTS[2:]])
+def test_what_the_estimator_rejects_is_missing_for_the_smoother(pair):
+    """Each row of this log is a sample, whose encoders are means since the one before."""
+    recording = dataclasses.replace(prepare(LOG), averaged=True)
+    scenario = replay_scenario("rhe", recording, {})
+
+    def estimates(error):
+        rows = recording.rows.copy()
+        rows.loc[[300, 301, 400], pair] += error
+        return estimate_samples(recording.with_rows(rows), scenario, smooth=True)[ESTIMATE]
+
+    np.testing.assert_allclose(estimates(5.0), estimates(np.nan), atol=1e-6)
 
 
 def delayed_replay(delay_s, told_s):
