@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import BY_M, in_a_mirror, later, moved, recorded_log, turned
 from invariances import Change, difference
+from spoilt_logs import four_headings
 
 import rhec
 from rhec.simulation.columns import ESTIMATE, SIGMA
@@ -22,6 +23,12 @@ def log_with_a_gyro():
 
 
 LOG = log_with_a_gyro()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quickly():
+    with four_headings():
+        yield
 
 
 def told(log):

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
-from spoilt_logs import late
+from spoilt_logs import four_headings, late
 
 import rhec
 from notebooks.further.recorded.scores import yaw_error
@@ -39,7 +39,8 @@ def without_a_search(monkeypatch):
 
 @pytest.mark.usefixtures("without_a_search")
 def test_a_bag_with_an_imu_is_calibrated():
-    summary = rhec.log(with_imu(LOG[:300], 30.0), calibrate=True, trust_log=True)
+    with four_headings():
+        summary = rhec.log(with_imu(LOG[:300], 30.0), calibrate=True, trust_log=True)
     found = summary.calibration
     told = found.report["value"]
     # All are as many times as large, so that the gains are those of the likeliest noise.
