@@ -8,7 +8,6 @@ from contextlib import closing
 import numpy as np
 import pytest
 from written_bags import (
-    DRIVE,
     START_NS,
     drive,
     fix,
@@ -25,7 +24,6 @@ from rhec.logs import bag_files
 
 KINDS = ["bag", "folder", "mcap"]
 N = 40
-ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 
 
 def at(row):
@@ -36,8 +34,8 @@ def driven():
     """Messages of a type of one's own, and of an odometry."""
     messages = []
     for row in range(N):
-        messages.append(("/drive", DRIVE, at(row), drive([row, 2, 3, 4 + row], 0.5 * row)))
-        messages.append(("/odom", ODOMETRY, at(row), odometry(row, -row, 9.0, 9.0)))
+        messages.append(("/drive", at(row), drive([row, 2, 3, 4 + row], 0.5 * row)))
+        messages.append(("/odom", at(row), odometry(row, -row, 9.0, 9.0)))
     return messages
 
 
@@ -57,8 +55,8 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
         "sent_s": "/odom.header.stamp",
         "again_m": "y_m",  # no field, but a column that is one
     }
-    again = [("/drive", DRIVE, at(row), drive([99, 99, 99, 99], 99)) for row in range(N)]
-    again += [("/odom", ODOMETRY, at(row), odometry(99, 99, 99, 99)) for row in range(N)]
+    again = [("/drive", at(row), drive([99, 99, 99, 99], 99)) for row in range(N)]
+    again += [("/odom", at(row), odometry(99, 99, 99, 99)) for row in range(N)]
     log = rhec.logs.read(write_bag(tmp_path, kind, driven() + again), columns=columns)
     rows = np.arange(N)
     expected = dict(t_s=0.1 * rows, x_m=rows, y_m=-rows, v_left_mps=rows, v_right_mps=4 + rows)
@@ -73,7 +71,7 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
 def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
     """A wheel radius makes speeds of wheels, in rad/s, speeds of tracks."""
     messages = [each for each in driven() if each[0] == "/drive"]
-    messages += [("/pose", POSE, at(row), pose_stamped(row, 2 * row)) for row in range(N)]
+    messages += [("/pose", at(row), pose_stamped(row, 2 * row)) for row in range(N)]
     columns = {"v_left_mps": "/drive.speeds[0]", "v_right_mps": "/drive.speeds[1]"}
     file = write_bag(tmp_path, "mcap", messages)
     log = rhec.logs.read(file, columns=columns, wheel_radius_m=0.5)
@@ -85,7 +83,7 @@ def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
 def test_of_two_topics_of_a_type_the_first_has_the_positions_and_the_last_the_speeds(tmp_path):
     of_topic = {"/receiver": (1.0, 2.0, 3.0, 4.0), "/wheels": (5.0, 6.0, 7.0, 8.0)}
     messages = [
-        (topic, ODOMETRY, at(row), odometry(*numbers))
+        (topic, at(row), odometry(*numbers))
         for row in range(N)
         for topic, numbers in of_topic.items()
     ]
@@ -124,8 +122,8 @@ def test_the_noise_that_a_receiver_declares_is_a_column(tmp_path, variances, sig
         told = variances if row % 2 else (0.01, 0.01)
         place = fix(46.78, 11.0 + 1e-6 * row, variances=told)
         speeds = odometry(row, 0.0, 0.5, 0.1, told or (0.0, 0.0))
-        messages.append(("/fix", "sensor_msgs/msg/NavSatFix", at(row), place))
-        messages.append(("/odom", ODOMETRY, at(row), speeds))
+        messages.append(("/fix", at(row), place))
+        messages.append(("/odom", at(row), speeds))
     bag = write_bag(tmp_path, "mcap", messages)
     for topics in (("/fix", "/odom"), ("/odom",)):
         declared = rhec.logs.read(bag, topics=topics)["position_sigma_m"]
@@ -150,9 +148,9 @@ def with_imu(late_s=0.0, unstamped=()):
     for row in range(N):
         own = 0 if row in unstamped else at(row) + round(late_s * 1e9)
         messages += [
-            ("/fix", "sensor_msgs/msg/NavSatFix", at(row), fix(46.78, 11.0 + 1e-6 * row)),
-            ("/odom", ODOMETRY, at(row), odometry(0, 0, 0.5, 0.1)),
-            ("/imu", "sensor_msgs/msg/Imu", own, imu((0.3, 0, -0.1), (0, 0, -9.81))),
+            ("/fix", at(row), fix(46.78, 11.0 + 1e-6 * row)),
+            ("/odom", at(row), odometry(0, 0, 0.5, 0.1)),
+            ("/imu", own, imu((0.3, 0, -0.1), (0, 0, -9.81))),
         ]
     return messages
 
@@ -191,8 +189,8 @@ def recorded(tmp_path, kind, rows=3000):
     messages = []
     for row in range(rows):
         messages += [
-            ("/pose", POSE, at(row), pose_stamped(row, -row)),
-            ("/joints", "sensor_msgs/msg/JointState", at(row), joint_state(row, 2 * row)),
+            ("/pose", at(row), pose_stamped(row, -row)),
+            ("/joints", at(row), joint_state(row, 2 * row)),
         ]
     bag = write_bag(tmp_path, kind, messages)
     return bag, next(bag.glob("*.db3")) if bag.is_dir() else bag
@@ -272,7 +270,7 @@ PACKED += [("bag", "BZ2")]
 
 def packed(tmp_path, kind, how, length):
     """A packed bag with a drive, and a message that unpacks to this length."""
-    junk = ("/drive_state", "std_msgs/msg/String", at(0), text("0" * length))
+    junk = ("/drive_state", at(0), text("0" * length))
     return write_bag(tmp_path, kind, [*driven(), junk], how)
 
 

@@ -135,7 +135,7 @@ def test_nothing_in_a_log_steers_a_terminal(tmp_path, suffix):
 
 
 def test_nothing_in_a_bag_steers_a_terminal(tmp_path):
-    messages = [(STEERING, "geometry_msgs/msg/PoseStamped", START_NS, pose_stamped(0, 0))]
+    messages = [(STEERING, START_NS, pose_stamped(0, 0))]
     file = write_bag(tmp_path, "mcap", messages)
     with pytest.raises(ValueError, match="no topic for encoders.*owned") as refused:
         rhec.logs.read(file)
@@ -283,7 +283,7 @@ def stamps(rate_hz, duration_s, seed):
 def shuffled(messages, reach_s=0.3):
     """The messages as they come over a network: each late by up to reach_s."""
     late = np.random.default_rng(3).uniform(0, reach_s * 1e9, len(messages))
-    return [messages[i] for i in np.argsort([each[2] for each in messages] + late)]
+    return [messages[i] for i in np.argsort([each[1] for each in messages] + late)]
 
 
 RADIUS = 0.2
@@ -298,16 +298,16 @@ def test_a_bag_of_megabytes_is_merged_by_time(tmp_path, kind):
     x, y = RANDOM.normal(size=(2, len(positions)))
     tracks = RANDOM.normal(size=(2, len(wheels)))
     messages = [
-        ("/odom", "nav_msgs/msg/Odometry", START_NS + round(t * 1e9), odometry(*at, 9.9, 9.9))
+        ("/odom", START_NS + round(t * 1e9), odometry(*at, 9.9, 9.9))
         for t, *at in zip(positions, x, y)
     ] + [
-        ("/joints", "sensor_msgs/msg/JointState", START_NS + round(t * 1e9), joint_state(*each))
+        ("/joints", START_NS + round(t * 1e9), joint_state(*each))
         for t, *each in zip(wheels, *(tracks / RADIUS))
     ]
     file = write_bag(tmp_path, kind, shuffled(messages))
     size = sum(each.stat().st_size for each in ([file] if file.is_file() else file.iterdir()))
     log = rhec.logs.read(file, wheel_radius_m=RADIUS)
-    assert size > 2e6 and (log["t_s"].diff()[1:] > 0).all()
+    assert size > 1.5e6 and (log["t_s"].diff()[1:] > 0).all()
     first = min(positions[0], wheels[0])
     for times, columns, values in (
         (positions, ["x_m", "y_m"], [x, y]),
@@ -334,21 +334,11 @@ def many(tmp_path_factory):
         stamp = START_NS + round(when * 1e9)
         place = degrees["latitude"][row], degrees["longitude"][row]
         messages += [
-            ("/fix", "sensor_msgs/msg/NavSatFix", stamp, fix(*place, -1 if row == 50 else 0)),
-            ("/pose", "geometry_msgs/msg/PoseStamped", stamp, pose_stamped(x[row], y[row])),
-            ("/cmd", "geometry_msgs/msg/TwistStamped", stamp, twist_stamped(0.1, 0.2)),
-            (
-                "/wheels",
-                "geometry_msgs/msg/TwistStamped",
-                stamp,
-                twist_stamped(speed[row], yaw_rate[row]),
-            ),
-            (
-                "/odom",
-                "nav_msgs/msg/Odometry",
-                0,
-                odometry(-x[row], -y[row], speed[row], yaw_rate[row]),
-            ),
+            ("/fix", stamp, fix(*place, -1 if row == 50 else 0)),
+            ("/pose", stamp, pose_stamped(x[row], y[row])),
+            ("/cmd", stamp, twist_stamped(0.1, 0.2)),
+            ("/wheels", stamp, twist_stamped(speed[row], yaw_rate[row])),
+            ("/odom", 0, odometry(-x[row], -y[row], speed[row], yaw_rate[row])),
         ]
     return t, x, y, speed, write_bag(tmp_path_factory.mktemp("many"), "mcap", messages)
 
@@ -425,11 +415,8 @@ def test_the_attributes_of_a_file_are_not_those_of_its_log(tmp_path):
 
 
 def test_an_estimate_that_has_seen_the_encoders_is_no_position(tmp_path):
-    messages = []
-    for topic in ("/odometry/filtered", "/wheels"):
-        kind = "PoseStamped" if "filtered" in topic else "TwistStamped"
-        make = pose_stamped if "filtered" in topic else twist_stamped
-        messages.append((topic, f"geometry_msgs/msg/{kind}", START_NS, make(1, 2)))
+    messages = [("/odometry/filtered", START_NS, pose_stamped(1, 2))]
+    messages += [("/wheels", START_NS, twist_stamped(1, 2))]
     file = write_bag(tmp_path, "mcap", messages)
     with pytest.raises(ValueError, match="those of /odometry/filtered, an estimate that has seen"):
         rhec.logs.read(file)

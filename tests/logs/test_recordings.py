@@ -98,8 +98,9 @@ def test_the_columns_of_a_recording_that_is_not_run_fit_its_documented_topics(tm
     source = fetch_recordings.RECORDINGS["citrusfarm"]
     assert len(source["sequences"]) == 7
     for topic, name, row in zip(source["topics"], ("gt", "odom"), ((1, 2, 0, 0), (9, 9, 0.5, 0.1))):
-        kind = source["topics"][topic]
-        messages = [(topic, kind, START_NS + k * 10**8, odometry(*row)) for k in range(5)]
+        message = odometry(*row)
+        assert message.type == source["topics"][topic]
+        messages = [(topic, START_NS + k * 10**8, message) for k in range(5)]
         (tmp_path / name).mkdir()
         file = write_bag(tmp_path / name, "bag", messages)
         file.rename(tmp_path / f"{name}.bag")

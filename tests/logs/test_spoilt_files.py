@@ -94,22 +94,17 @@ def drive(fix_ahead_s=0.0, is_stamped=True, no_fix=()):
         at = stamp + round(1e9 * fix_ahead_s) * is_stamped
         place = fix(latitude, longitude, status)
         wheels = joint_state(row.v_left_mps / RADIUS_M, row.v_right_mps / RADIUS_M)
-        messages += [
-            ("/fix", "sensor_msgs/msg/NavSatFix", at, place),
-            ("/joints", "sensor_msgs/msg/JointState", stamp, wheels),
-        ]
+        messages += [("/fix", at, place), ("/joints", stamp, wheels)]
     return messages
 
 
 def of_odometry(kind):
-    odom = ("/odom", "nav_msgs/msg/Odometry")
-    topic = odom if kind == "odom" else ("/cmd_vel", "geometry_msgs/msg/Twist")
     messages = []
     for row in LOG.iloc[::2].itertuples():
+        stamp = START_NS + round(1e9 * row.t_s)
         speeds = (row.speed_mps, row.yaw_rate_radps)
-        command = lambda store, stamp, speeds=speeds: twist(store, *speeds)  # noqa: E731
-        message = odometry(row.x_m, row.y_m, *speeds) if kind == "odom" else command
-        messages.append((*topic, START_NS + round(1e9 * row.t_s), message))
+        odom = ("/odom", stamp, odometry(row.x_m, row.y_m, *speeds))
+        messages.append(odom if kind == "odom" else ("/cmd_vel", stamp, twist(*speeds)))
     return messages
 
 

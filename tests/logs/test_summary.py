@@ -179,13 +179,13 @@ def husky(tmp_path):
     for row, each in log.iterrows():
         at = START_NS + row * 50_000_000
         rate = (0.0, 0.0, each["yaw_rate_true_radps"] + 0.01)
-        messages.append(("/imu/data", "sensor_msgs/msg/Imu", at, imu(rate, (0.0, 0.0, 9.81))))
+        messages.append(("/imu/data", at, imu(rate, (0.0, 0.0, 9.81))))
         if row % 2 == 0:
             moved = odometry(0.05 * row, 0.0, each["speed_mps"], each["yaw_rate_radps"])
-            messages.append(("/husky/odometry", "nav_msgs/msg/Odometry", at, moved))
+            messages.append(("/husky/odometry", at, moved))
         if row % 4 == 0:
             place = fix(float(latitude[row]), float(longitude[row]))
-            messages.append(("/fix", "sensor_msgs/msg/NavSatFix", at, place))
+            messages.append(("/fix", at, place))
     return write_bag(tmp_path, "mcap", messages)
 
 
