@@ -24,7 +24,7 @@ from rhec.logs.replay import (
     motion_of,
     moved_to_sample,
     replay_of,
-    used_samples,
+    used_of,
 )
 from rhec.logs.summary import Judgement
 
@@ -77,8 +77,8 @@ def example_of(judged: Judgement) -> pd.DataFrame:
     """
     recording, scenario, first, inflation = judged
     how = replay_of(scenario)
-    for part in used_samples(recording.samples(), scenario):
-        stream = with_ages(part, how.measured)
+    for part in recording.samples():
+        stream = with_ages(used_of(part, scenario), how.measured)
         has_position = np.isfinite(stream[:, :2]).all(axis=1)
         if has_position.any():
             break

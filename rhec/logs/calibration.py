@@ -234,15 +234,6 @@ def _fields(values, log):
     return fields
 
 
-def _unknowns_of_sensors(names):
-    """The Unknowns of the noise of these sensors."""
-    return [
-        Unknown(f"noise of the {sensor.name}{of.label}", of.unit, of.default, _BROAD)
-        for sensor in sensors.records(names)
-        for of in sensor.noise
-    ]
-
-
 def _likelihood(log, delay_s, every=1):
     """The Likelihood of a log.
 
@@ -263,6 +254,12 @@ def _likelihood(log, delay_s, every=1):
         firsts.append((np.array([guess.get(name, 0.0) for name in model.joint_names]), sigma))
         z[np.arange(len(z)) % every > 0, :2] = np.nan
 
+    of_sensors = [
+        Unknown(f"noise of the {sensor.name}{of.label}", of.unit, of.default, _BROAD)
+        for sensor in sensors.records(recording.sensors)
+        for of in sensor.noise
+    ]
+
     def settings_of(values):
         scenario = Scenario(
             speed_model="slipping",
@@ -276,7 +273,7 @@ def _likelihood(log, delay_s, every=1):
         model=model,
         dt_s=paper.DT_S,
         loss=Loss.HUBER,
-        unknowns=(*_UNKNOWNS, *_unknowns_of_sensors(recording.sensors)),
+        unknowns=(*_UNKNOWNS, *of_sensors),
         settings_of=settings_of,
         segments=segments,
         firsts=firsts,
@@ -290,9 +287,9 @@ def _first_yaws(recording):
     return samples.groupby("segment")[ESTIMATE[2]].first().tolist()
 
 
-def _fitted(log, delay_s, every=1):
+def _fitted(log, delay_s):
     """The _Fit of a log; the arguments are those of `_likelihood`."""
-    likelihood = _likelihood(log, delay_s, every)
+    likelihood = _likelihood(log, delay_s)
     return _Fit(delay_s, likelihood, likelihood.most_likely())
 
 

@@ -150,7 +150,7 @@ def _vertices(log):
         t_s = track.t[kept]
         step = np.diff(track.position[kept])
         middle_s = (t_s[1:] + t_s[:-1]) / 2
-        turned = log.kappa * np.diff(np.interp(middle_s, track.t_encoders, track.turned))
+        turned = log.kappa * np.diff(np.interp(middle_s, track.t_encoders, track.motion.imag))
         turn = np.angle(step[1:] * step[:-1].conj())
         is_cusp = np.cos(turn - turned) < 0
         corners = dict(segment=len(parts), t_s=t_s[1:-1], turn=turn, is_cusp=is_cusp)
@@ -192,7 +192,7 @@ def _of_the_map(log, share):
     for track in tracks_of(log.rows):
         at = np.arange(track.t[0], track.t[-1], LENGTHS_S[1])
         place = np.interp(at, track.t, track.position)
-        driven = np.interp(at, track.t_encoders, track.driven)
+        driven = np.interp(at, track.t_encoders, track.motion.real)
         parts.append(np.column_stack([np.diff(place).real, np.diff(place).imag, np.diff(driven)]))
     steps = np.concatenate(parts)
     # Outliers go farther than the robot.

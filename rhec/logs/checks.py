@@ -52,8 +52,8 @@ def facts(recording: Recording) -> dict:
         duration_s=float(rows.groupby("segment")["t_s"].agg(np.ptp).sum()),
         rows_usable=1 - faults["unusable_times"] / faults["rows"],
         positions_usable=counting / max(counting + faults["positions_flagged"], 1),
-        positions_hz=_rate_hz(rows, _X),
-        encoders_hz=_rate_hz(rows, _NU),
+        positions_hz=1 / period_s(rows, _X),
+        encoders_hz=1 / period_s(rows, _NU),
         position_sigma_m=recording.noise_m,
         declared_sigma_m=declared_m(rows),
         driven_m=travelled(rows, _NU),
@@ -86,18 +86,6 @@ def refuse(recording: Recording) -> None:
             raise ValueError(finding.fact)
         if finding.severity is Severity.WARNING:
             warnings.warn(finding.fact, stacklevel=3)
-
-
-def _rate_hz(rows, column):
-    """Median rate of a column's numbers; NaN with fewer than two."""
-    period = period_s(rows, column)
-    return 1 / period if period else np.nan
-
-
-def _steps(rows):
-    """Changes of time [s], x and y [m] from each position to the next one of its segment."""
-    there = rows[rows[_X].notna()]
-    return there.groupby("segment")[["t_s", *_POSITION]].diff()
 
 
 def _lengths(steps):
@@ -266,7 +254,7 @@ def _check_encoders(recording):
     """Find encoders that show 0: both while the positions move, or one of them."""
     rows = recording.rows
     step_s = period_s(rows, _NU)
-    if not step_s:
+    if np.isnan(step_s):
         return
     n = max(round(_WINDOW_S / step_s), 3)
     sigma_m = recording.noise_m
@@ -306,7 +294,7 @@ def _check_jumps(recording):
     """Find positions farther apart than the robot drives, and a robot moved in a pause."""
     rows = recording.rows
     noise_m = 8 * recording.noise_m
-    steps = _steps(rows)
+    steps = rows[rows[_X].notna()].groupby("segment")[["t_s", *_POSITION]].diff()
     way_m = _lengths(steps)
     pauses = (rows.groupby("segment")["t_s"].diff() > _SILENT_S).cumsum()
     is_over_pause = pauses[steps.index].diff() > 0

@@ -21,13 +21,6 @@ _COVERED = 0.95  # share of the errors that should be within
 _BOTH = 2.236  # standard deviations that hold 95 % of both coordinates of a position
 
 
-def _settled(samples):
-    """Whether the robot moves and has driven far enough for a yaw, at each sample (n,)."""
-    step_m = paper.DT_S * samples[MEASUREMENTS[2]].abs().fillna(0.0)
-    driven_m = step_m.groupby(samples["segment"]).cumsum()
-    return moves(samples) & (driven_m > _FROM_M) & samples[ESTIMATE[2]].notna()
-
-
 def hidden_errors(recording, estimate, sigma_v=(0.0, 0.0)):
     """Errors of an estimator at the last position of each stretch of hidden ones, a DataFrame.
 
@@ -97,8 +90,10 @@ def judge(recording, estimate, smoothed, sigma_v):
     """
     samples = estimate(recording)
     hidden = hidden_errors(recording, estimate, sigma_v)
-    counts = _settled(samples) & smoothed[ESTIMATE[2]].notna()
+    step_m = paper.DT_S * samples[MEASUREMENTS[2]].abs().fillna(0.0)
+    driven_m = step_m.groupby(samples["segment"]).cumsum()
     yaw = ESTIMATE[2]
+    counts = moves(samples) & (driven_m > _FROM_M) & (samples[yaw] + smoothed[yaw]).notna()
     apart = ((samples[yaw] - smoothed[yaw] + np.pi)[counts] % (2 * np.pi) - np.pi).abs()
     ratio = apart / (Z_95 * samples[SIGMA[2]][counts])
     factor = inflation(hidden["ratio"], ratio)

@@ -1,6 +1,7 @@
 """How far a robot drives and turns by its encoders, and how often its sensors measure."""
 
 import numpy as np
+import pandas as pd
 
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -41,17 +42,13 @@ def turned_rad(rows):
 
 
 def period_s(rows, column):
-    """Median time between the measurements of a column [s]; 0 with fewer than two."""
+    """Median time between the measurements of a column [s]; NaN with fewer than two."""
     *_, step_s = _measured(rows, column)
-    known_s = step_s[np.isfinite(step_s)]
-    return float(np.median(known_s)) if len(known_s) else 0.0
+    return float(pd.Series(step_s).median())
 
 
 def _measured(rows, column):
-    """Segments, times [s], numbers of a column, and the times since the one before, (n,) each.
-
-    The last are NaN for the first number of a segment.
-    """
+    """Segments, times [s], numbers of a column, and times since the one before or NaN, (n,) each."""
     columns = rows[["segment", "t_s", column]].to_numpy()
     segment, t_s, number = columns[np.isfinite(columns[:, 2])].T
     is_next = np.diff(segment, prepend=np.nan) == 0

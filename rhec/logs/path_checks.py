@@ -122,8 +122,7 @@ class _Track(NamedTuple):
     t: np.ndarray  # (n,) times of the positions [s]
     position: np.ndarray  # (n,) x + iy [m]
     t_encoders: np.ndarray  # (m,) times of the encoder measurements [s]
-    driven: np.ndarray  # (m,) distance driven until then [m]
-    turned: np.ndarray  # (m,) angle turned until then [rad]
+    motion: np.ndarray  # (m,) distance driven + i angle turned until then [m, rad]
 
 
 def tracks_of(rows):
@@ -134,10 +133,10 @@ def tracks_of(rows):
     for segment in np.unique(segments):
         part = columns[segments == segment]
         t, x, y = part[np.isfinite(part[:, 1:3]).all(axis=1), :3].T
-        t_encoders, *speeds = part[np.isfinite(part[:, 3:]).all(axis=1)][:, [0, 3, 4]].T
+        t_encoders, nu, omega = part[np.isfinite(part[:, 3:]).all(axis=1)][:, [0, 3, 4]].T
         if min(len(t), len(t_encoders)) >= 3:
-            motion = cumulative_trapezoid(speeds, t_encoders, initial=0)
-            tracks.append(_Track(t, x + 1j * y, t_encoders, *motion))
+            motion = cumulative_trapezoid(nu + 1j * omega, t_encoders, initial=0)
+            tracks.append(_Track(t, x + 1j * y, t_encoders, motion))
     return tracks
 
 
@@ -147,12 +146,9 @@ class _Intervals(NamedTuple):
     An interval, the next one and the interval between both use five instants.
     """
 
+    track: _Track
     at: np.ndarray  # (m + 4,) instants, half an interval apart [s]
-    t_encoders: np.ndarray  # times of the encoder measurements [s]
-    motion: np.ndarray  # driven + i turned until then [m, rad]
-    d: np.ndarray  # (m,) how far the antenna moves [m]
-    turn: np.ndarray  # (m,) of the course to the next interval [rad]
-    weight: np.ndarray  # (m,) of that turn [m²]
+    path: tuple  # (m,) each: how far the antenna moves, the turn to the next interval, its weight
     is_dense: np.ndarray  # (m,) whether there are positions throughout
 
 
@@ -168,28 +164,27 @@ def intervals_of(tracks, length_s):
         turned = step[2:] * step[:-2].conj()
         gap_s = np.interp(at, track.t[1:], np.diff(track.t))
         longest_s = np.lib.stride_tricks.sliding_window_view(gap_s, 5).max(axis=1)
-        path = np.abs(step[:-2]), np.angle(turned), np.abs(turned), longest_s < length_s
-        found.append(_Intervals(at, track.t_encoders, track.driven + 1j * track.turned, *path))
+        path = np.abs(step[:-2]), np.angle(turned), np.abs(turned)
+        found.append(_Intervals(track, at, path, longest_s < length_s))
     return found
 
 
 def _moves(intervals, delay_s):
     """Motion of antenna and tracks in all _Intervals, for late positions, (7, intervals).
 
-    These are d, n, w, the turn of the course to the next interval, w between the two intervals, the
-    change of w/n from one to the other, and the weight of that turn.
+    These are d, the turn of the course to the next interval and its weight; n, w, w between the two
+    intervals, and the change of w/n from one to the other.
     """
     parts = [np.zeros((7, 0))]
-    for each in intervals:
-        motion = np.interp(each.at - delay_s, each.t_encoders, each.motion)
+    for track, at, (d, turn, weight), is_dense in intervals:
+        motion = np.interp(at - delay_s, track.t_encoders, track.motion)
         step = motion[2:] - motion[:-2]
         n, w = step.real, step.imag
         curvature = _curvature(w, n)
         keeps_direction = n[:-2] * n[2:] > 0  # forwards or backwards
         bend = curvature[2:] - curvature[:-2]
-        weight = each.weight * keeps_direction
-        moves = [each.d, n[:-2], w[:-2], each.turn, w[1:-1], bend, weight]
-        parts.append(np.array(moves)[:, each.is_dense])
+        moves = [d, turn, weight * keeps_direction, n[:-2], w[:-2], w[1:-1], bend]
+        parts.append(np.array(moves)[:, is_dense])
     return np.concatenate(parts, axis=1)
 
 
@@ -224,23 +219,8 @@ class Comparison(NamedTuple):
 
     distances: _Fit  # d² = μ² n² + a w² + b n w + c
     turns: _Fit  # of the course, κ w + e Δ(w/n), by the root of their weights
-
-    @property
-    def squares(self):
-        """Those of the distances, at least those that are left."""
-        y = self.distances.y
-        return max(np.sum((y - y.mean()) ** 2), self.distances.left.sum(), 1e-300)
-
-    @property
-    def share(self):
-        """The share of the squares of the distances that the encoders explain."""
-        return 1 - self.distances.left.sum() / self.squares
-
-    @property
-    def unexplained(self):
-        """How much of motion and turn is not explained, (intervals,), shares of the squares."""
-        of_turns = self.turns.left / max(self.turns.y @ self.turns.y, 1e-300)
-        return self.distances.left / self.squares + of_turns
+    share: float  # of the squares of the distances that the encoders explain
+    unexplained: np.ndarray  # how much of each motion and turn is not, as shares of the squares
 
     @property
     def slopes(self):
@@ -252,22 +232,23 @@ class Comparison(NamedTuple):
         mu = np.sqrt(max(known.b[0], 1e-14))
         without = _fit(self.turns.x[:, 1:], self.turns.y).left
         share = 1 - self.turns.left.sum() / without.sum() if without.any() else 0.0
-        return (
-            _Slope(mu, known.sigma / (2 * mu), self.share),
-            _Slope(self.turns.b[0], self.turns.sigma, share),
-        )
+        kappa = _Slope(self.turns.b[0], self.turns.sigma, share)
+        return _Slope(mu, known.sigma / (2 * mu), self.share), kappa
 
 
 def compare(intervals, delay_s):
     """The Comparison of path and encoders over _Intervals; None for few of them."""
-    d, n, w, turn, w_turn, bend, weight = _moves(intervals, delay_s)
+    d, turn, weight, n, w, w_turn, bend = _moves(intervals, delay_s)
     if len(d) < _LEAST_INTERVALS:
         return None
     root = np.sqrt(weight)
-    return Comparison(
-        _fit(np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1), d**2),
-        _fit(root[:, None] * np.stack([w_turn, bend], axis=1), root * turn),
-    )
+    y = d**2
+    distances = _fit(np.stack([n**2, w**2, n * w, np.ones_like(n)], axis=1), y)
+    turns = _fit(root[:, None] * np.stack([w_turn, bend], axis=1), root * turn)
+    squares = max(np.sum((y - y.mean()) ** 2), distances.left.sum(), 1e-300)
+    of_turns = max(weight @ turn**2, 1e-300)
+    unexplained = distances.left / squares + turns.left / of_turns
+    return Comparison(distances, turns, 1 - distances.left.sum() / squares, unexplained)
 
 
 @np.errstate(all="ignore")

@@ -546,8 +546,7 @@ def resample(rows, recording):
             newest = _newest_since(before, at, measured_s, value)
             result[name], result[f"{name}_age_s"] = newest
         else:
-            value = _unwrapped(value) if name == "theta_rad" else value
-            result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s)
+            result[name] = _truth_at(at, t, value, _TRUTH_GAP * dt_s, name == "theta_rad")
     is_silent = at - t[np.searchsorted(t, at, side="right") - 1] > _STANDING_GAP * dt_s
     silence_begins = np.diff(is_silent, prepend=False) & is_silent
     if silence_begins.any():
@@ -592,24 +591,17 @@ def with_ages(samples, measured):
     return np.hstack([z, ages_s])
 
 
-def _unwrapped(angle):
-    """An angle [rad] without jumps of 2π; gaps stay gaps."""
-    angle = angle.copy()
-    is_finite = np.isfinite(angle)
-    angle[is_finite] = np.unwrap(angle[is_finite])
-    return angle
-
-
-def _truth_at(at, t, value, gap_s):
-    """Linear interpolation of a value at these times; NaN in gaps longer than gap_s."""
+def _truth_at(at, t, value, gap_s, is_angle):
+    """Linear interpolation of a value, or of an angle without its jumps; NaN in longer gaps."""
     known = np.isfinite(value)
     if not known.any():
         return np.full(len(at), np.nan)
     t = t[known]
+    value = np.unwrap(value[known]) if is_angle else value[known]
     after = np.clip(np.searchsorted(t, at), 0, len(t) - 1)
     before = np.maximum(after - 1, 0)
     is_inside = (t[before] <= at) & (at <= t[after]) & (t[after] - t[before] <= gap_s)
-    return np.where(is_inside | (t[after] == at), np.interp(at, t, value[known]), np.nan)
+    return np.where(is_inside | (t[after] == at), np.interp(at, t, value), np.nan)
 
 
 def _newest_since(begin, end, t, value):

@@ -444,19 +444,14 @@ def _first_yaw(first, number, samples):
     return float(known[0]) if len(known) else None
 
 
-def used_samples(samples, scenario):
-    """The samples of each segment as a scenario's estimator uses them: of sensors what is accepted.
+def used_of(part, scenario):
+    """The samples of a segment as a scenario's estimator uses them: of sensors what is accepted.
 
-    Which are is told in columns of the samples.
+    Which are is told in columns of `part`.
     """
-    return [_used_part(part, sensors.records(scenario.sensors)) for part in samples]
-
-
-def _used_part(part, of_sensors):
-    """The samples of a segment with what is accepted of these Sensors, which is told in `part`."""
     used = part
     omega = part[MEASUREMENTS[3]].ffill().fillna(0.0)
-    for sensor in of_sensors:
+    for sensor in sensors.records(scenario.sensors):
         if sensor.accepts:
             accepted = sensor.accepts(part[sensor.column], omega)
             part[ACCEPTED[sensor.name]] = accepted
@@ -477,10 +472,9 @@ def estimate_samples(recording, scenario, first=_UNKNOWN, smooth=False):
         DataFrame, one row for each sample of the estimator.
     """
     how = replay_of(scenario)
-    samples = recording.samples()
     parts = []
-    for number, (part, used) in enumerate(zip(samples, used_samples(samples, scenario))):
-        stream = with_ages(used, how.measured)
+    for number, part in enumerate(recording.samples()):
+        stream = with_ages(used_of(part, scenario), how.measured)
         first_memory = partial(first_memory_of, how, scenario, first, np.nan_to_num(stream[0, 2]))
         yaw_rad = _first_yaw(first, number, part)
         estimates = estimated(
@@ -535,18 +529,13 @@ def replay_scenario(estimator, recording, fields):
                 f"{recording.sensors!r}"
             )
     scenario = Scenario(estimator=estimator, track_width_m=recording.track_width_m, **fields)
-    if not _runs_without_truth(scenario.estimator):
-        names = [repr(name) for name in NAMES if _runs_without_truth(name)]
+    if estimator_of(scenario.estimator).told:
+        names = [repr(name) for name in NAMES if not estimator_of(name).told]
         raise ValueError(
             f"estimator was {estimator!r}; a replay takes {', '.join(names)} or a CasADi Function: "
             "the others need the truth"
         )
     return scenario
-
-
-def _runs_without_truth(estimator):
-    """Whether an estimator needs no truth, such as the traction."""
-    return not estimator_of(estimator).told
 
 
 # Any Model

@@ -150,7 +150,8 @@ def of_log(slopes, samples, width_m, calibration=None):
         calibration: The Calibration of the log, if there is one.
     """
     mu, kappa, drift = slopes
-    inverse = 1 / np.array([kappa.value, kappa.value + Z_95 * kappa.sigma, _least(kappa)])
+    least = max(kappa.value - Z_95 * kappa.sigma, 1e-6)  # above 0
+    inverse = 1 / np.array([kappa.value, kappa.value + Z_95 * kappa.sigma, least])
     ratio = mu.value / kappa.value
     sigma = ratio * np.hypot(mu.sigma / mu.value, kappa.sigma / kappa.value)
     rows = {
@@ -159,7 +160,11 @@ def of_log(slopes, samples, width_m, calibration=None):
         "wheel_radius_multiplier (μ)": row(*mu),
         "wheel_separation_multiplier with it (μ/κ)": row(ratio, sigma),
         "drift in turning": row(*drift, "rad/m"),
-    } | constants(samples)
+    }
+    last = samples.dropna(subset=ESTIMATE[0]).iloc[-1]
+    for name, (hat, of_hat, unit) in _CONSTANTS.items():
+        if hat in samples and np.isfinite(last[hat]):
+            rows[name] = row(float(last[hat]), float(last[of_hat]), unit)
     if calibration is not None:
         columns = ["value", "low", "high", "unit"]
         rows |= {name: tuple(calibration.report.loc[name, columns]) for name in _CALIBRATED}
@@ -169,24 +174,6 @@ def of_log(slopes, samples, width_m, calibration=None):
 def row(value, sigma, unit="-"):
     """Value, 95 % interval and unit of what has this standard deviation."""
     return *normal_interval(value, sigma), unit
-
-
-def _least(slope):
-    """The lower limit of a Slope, above 0."""
-    return max(slope.value - Z_95 * slope.sigma, 1e-6)
-
-
-def constants(samples):
-    """{parameter: (value, low, high, unit)} of antenna and sensors, by smoothed samples.
-
-    What the replay does not estimate is left out.
-    """
-    last = samples.dropna(subset=ESTIMATE[0]).iloc[-1]
-    return {
-        name: row(float(last[hat]), float(last[sigma]), unit)
-        for name, (hat, sigma, unit) in _CONSTANTS.items()
-        if hat in samples and np.isfinite(last[hat])
-    }
 
 
 def as_yaml(terms, width_m, noise, rate_hz):
