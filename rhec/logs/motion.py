@@ -48,7 +48,7 @@ def period_s(rows, column):
 
 
 def _measured(rows, column):
-    """Segments, times [s], numbers of a column, and times since the one before or NaN, (n,) each."""
+    """Segments, times [s] and numbers of a column, and times since the one before, (n,) each."""
     columns = rows[["segment", "t_s", column]].to_numpy()
     segment, t_s, number = columns[np.isfinite(columns[:, 2])].T
     is_next = np.diff(segment, prepend=np.nan) == 0
