@@ -47,28 +47,18 @@ def change(where, **columns):
     return log
 
 
-def dead(left, right):
-    """Tracks whose encoders show 0 from 60 to 90 s."""
-    v_left = LOG["v_left_mps"] * left
-    v_right = LOG["v_right_mps"] * right
-    return change(
-        FAULTY, speed_mps=(v_left + v_right) / 2, yaw_rate_radps=(v_right - v_left) / TRACK_WIDTH_M
-    )
-
-
-def only_the_right():
-    """What the encoders show where the left one shows 0."""
-    v_right = LOG["v_right_mps"]
-    return dict(speed_mps=v_right / 2, yaw_rate_radps=v_right / TRACK_WIDTH_M)
-
-
 def by_sides(left, right):
-    """The log with the signs of its encoders turned."""
+    """The log with the speeds of its tracks times these."""
     v_left = LOG["v_left_mps"] * left
     v_right = LOG["v_right_mps"] * right
     return LOG.assign(
         speed_mps=(v_left + v_right) / 2, yaw_rate_radps=(v_right - v_left) / TRACK_WIDTH_M
     )
+
+
+def dead(left, right, where=FAULTY):
+    """Tracks whose encoders show 0 meanwhile, where that is their factor."""
+    return LOG.mask(where, by_sides(left, right), axis=0)
 
 
 def rolled_over():
@@ -113,36 +103,32 @@ def spinning():
     return pd.DataFrame(dict(t_s=t, speed_mps=0.55, **place, **turns))
 
 
+def driven(duration_s, speed_of, turn_of, noise_m=0.0):
+    """A log at 10 Hz of a robot whose speeds are functions of the time."""
+    t = np.arange(0, duration_s, 0.1)
+    speed, turn = speed_of(t), turn_of(t)
+    place = np.cumsum(0.1 * MU * speed * np.exp(1j * np.cumsum(0.1 * KAPPA * turn)))
+    place += noise_m * RANDOM.standard_normal((2, len(t))).T @ [1, 1j]
+    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
+    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+
+
 def moves_only(speed_mps):
-    t = np.arange(0, 60, 0.1)
-    return pd.DataFrame(
-        dict(t_s=t, x_m=0.9 * speed_mps * t, y_m=0.0, speed_mps=speed_mps, yaw_rate_radps=0.0)
-    )
+    return driven(60, lambda t: speed_mps + 0 * t, lambda t: 0 * t)
 
 
 def reverses():
     """A robot that drives to and fro, in curves, and stands for a second in between."""
-    t = np.arange(0, 200, 0.1)
-    speed = np.select([t % 20 < 9, (t % 20 >= 10) & (t % 20 < 19)], [0.6, -0.5], 0.0)
-    turn = 0.4 * np.sin(t / 7)
-    yaw = np.cumsum(0.1 * KAPPA * turn)
-    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
-    place += 0.01 * RANDOM.standard_normal((2, len(t))).T @ [1, 1j]
-    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
-    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+
+    def speed(t):
+        return np.select([t % 20 < 9, (t % 20 >= 10) & (t % 20 < 19)], [0.6, -0.5], 0.0)
+
+    return driven(200, speed, lambda t: 0.4 * np.sin(t / 7), 0.01)
 
 
 def along_curves(speed_of):
     """A robot whose speeds keep their ratio along each curve, at a speed that the time gives."""
-    t = np.arange(0, 400, 0.1)
-    speed = speed_of(t)
-    sign = np.where(t % 20 < 10, 1, -1)
-    turn = 0.5 * sign * speed
-    yaw = np.cumsum(0.1 * KAPPA * turn)
-    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
-    place += 0.01 * RANDOM.standard_normal((2, len(t))).T @ [1, 1j]
-    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
-    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+    return driven(400, speed_of, lambda t: np.where(t % 20 < 10, 0.5, -0.5) * speed_of(t), 0.01)
 
 
 def circles_by_yaw():
@@ -150,22 +136,18 @@ def circles_by_yaw():
 
     With the left encoder backwards it would drive nearly the same, but not quite.
     """
-    t = np.arange(0, 120, 0.1)
-    speed = 0.6 * (1 + 0.3 * np.sin(t / 5))
-    yaw = np.cumsum(0.1 * KAPPA * 0.3 * (1 + 0.3 * np.cos(t / 7)))
-    place = np.cumsum(0.1 * MU * speed * np.exp(1j * yaw))
-    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
-    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=np.angle(np.exp(1j * yaw))))
+    log = driven(120, lambda t: 0.6 + 0.18 * np.sin(t / 5), lambda t: 0.3 + 0.09 * np.cos(t / 7))
+    yaw = np.cumsum(0.1 * KAPPA * log["yaw_rate_radps"])
+    return log.assign(yaw_rate_radps=np.angle(np.exp(1j * yaw)))
 
 
 def plain(driven_m=40.0, turned_rad=20.0):
     """A robot that drives and turns so far in a minute, faster and slower."""
-    t = np.arange(0, 60, 0.1)
-    speed = driven_m / 60 * (1 + 0.5 * np.sin(t))
-    turn = turned_rad / 60 * (1 + 0.5 * np.cos(t))
-    place = np.cumsum(0.1 * MU * speed * np.exp(1j * np.cumsum(0.1 * KAPPA * turn)))
-    true = dict(t_s=t, x_m=place.real, y_m=place.imag)
-    return pd.DataFrame(true | dict(speed_mps=speed, yaw_rate_radps=turn))
+    return driven(
+        60,
+        lambda t: driven_m / 60 * (1 + 0.5 * np.sin(t)),
+        lambda t: turned_rad / 60 * (1 + 0.5 * np.cos(t)),
+    )
 
 
 def carried(way_m):
@@ -418,13 +400,13 @@ LIMITS = {
     ),
     "no positions at a speed [m/s]": (slow, "positions are missing", 0.043, 0.047),
     "no encoders show a motion [s]": (
-        lambda s: change(during(s), speed_mps=0.0, yaw_rate_radps=0.0),
+        lambda s: dead(0, 0, during(s)),
         "both encoders show 0 while the positions move, for 3 s",
         7.2,
         7.6,
     ),
     "the left encoder shows none [s]": (
-        lambda s: change(during(s), **only_the_right()),
+        lambda s: dead(0, 1, during(s)),
         "left encoder shows 0",
         7.2,
         7.6,
