@@ -10,19 +10,6 @@ from rhec.logs.position_noise import LEAST_M, position_sigma_m
 from rhec.logs.recording import prepare
 
 
-def thinned(log, rate_hz):
-    every = round(10 / rate_hz)
-    log.loc[log.index % every > 0, ["x_m", "y_m"]] = np.nan
-    return log
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 1.0])
-@pytest.mark.parametrize("sigma_m", [0.05, 0.3])
-def test_the_noise_of_positions_is_found_at_every_rate(sigma_m, rate_hz):
-    log = thinned(recorded_log(10.0, 200.0, noise_m=sigma_m, seed=4), rate_hz)
-    assert position_sigma_m(prepare(log).rows) == pytest.approx(sigma_m, rel=0.15)
-
-
 def test_positions_that_are_missing_and_a_robot_that_stands_do_not_hide_the_noise():
     """While it stands, a receiver may smooth its positions."""
     log = recorded_log(10.0, 200.0)

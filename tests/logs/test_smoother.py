@@ -44,12 +44,6 @@ def test_the_covariance_of_the_smoother_is_consistent(smoothed):
     assert (error.abs() < 1.96 * sigma).mean() > 0.9
 
 
-def test_the_smoother_needs_no_first_yaw(smoothed):
-    unknown = rhec.replay(LOG, smooth=True)
-    difference = unknown["theta_hat_rad"] - smoothed["theta_hat_rad"]
-    assert np.abs((difference + np.pi) % (2 * np.pi) - np.pi).max() < 0.03
-
-
 def test_a_smoothed_estimate_depends_on_later_measurements(smoothed):
     """And the first ones do not depend on the last ones, beyond what the robot forgets."""
     changed = LOG.copy()

@@ -39,12 +39,6 @@ def summary():
     return rhec.log(LOG)
 
 
-def test_the_traction_has_an_interval_that_covers(summary):
-    for name, truth in (("μ", MU), ("κ", KAPPA)):
-        row = summary.traction.loc[name]
-        assert row["low"] < truth < row["high"] and row["high"] - row["low"] < 0.1
-
-
 def test_a_good_log_is_to_be_trusted_on_one_page(summary):
     page = str(summary).splitlines()
     assert len(page) <= 8
