@@ -46,27 +46,6 @@ def test_each_row_of_the_log_gets_its_estimate(estimates):
     assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
 
 
-@pytest.mark.parametrize("rate_hz", [5.0, 8.0, 50.0])
-def test_at_every_rate_the_estimates_find_the_truth(rate_hz):
-    """Without noise: also between the estimator's samples, and though the log's rate is no multiple
-    of theirs.
-    """
-    log = recorded_log(rate_hz)
-    # A W by likelihood on soil that slips and differs as this log's does.
-    noise = dict(
-        process_noise="prediction",
-        sigma_v=paper.SIGMA_V,
-        sigma_w=(0.001, 0.001, 0.001, 0.0033, 0.001),
-    )
-    result = rhec.replay(log, first_yaw_rad=0.4, speed_model="input", **noise)
-    late = result["t_s"] > 15
-    position, yaw = errors(result[late])
-    assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
-    assert result["mu_hat"][late].median() == pytest.approx(MU, abs=0.01) and result["kappa_hat"][
-        late
-    ].median() == pytest.approx(KAPPA, abs=0.02)
-
-
 @may_be_unsure
 def test_without_encoders_a_robot_goes_on_between_the_samples_as_at_them():
     """On a circle without noise, so that the yaw is wrong by the same amount in all rows."""
@@ -233,19 +212,23 @@ def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
             )
 
 
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("gnss", GNSS[::-1])
-def test_positions_between_the_samples_are_as_good_as_positions_at_them(gnss):
-    """Without noise: carried on over their age, they are where the robot is."""
-    result = rhec.replay(
-        merged(gnss),
-        first_yaw_rad=0.4,
-        process_noise="prediction",
-        sigma_v=paper.SIGMA_V,
-        speed_model="input",
-    )
-    position, yaw = errors(result[result["t_s"] > 15])
-    assert position.max() < 0.02 and yaw.max() < 0.03
+@pytest.mark.nightly(keep=5)
+@pytest.mark.parametrize("times", [5.0, 8.0, 50.0, *GNSS[::-1]])
+def test_without_noise_the_estimates_find_the_truth(times):
+    """At every rate of the log, which may be no multiple of the samples', and between the samples.
+
+    A position that was measured between two samples is carried on over its age.
+    """
+    log = recorded_log(times) if isinstance(times, float) else merged(times)
+    # A W by likelihood on soil that slips and differs as this log's does.
+    noise = dict(sigma_v=paper.SIGMA_V, sigma_w=(0.001, 0.001, 0.001, 0.0033, 0.001))
+    given = dict(first_yaw_rad=0.4, speed_model="input", process_noise="prediction")
+    result = rhec.replay(log, **given | noise)
+    late = result["t_s"] > 15
+    position, yaw = errors(result[late])
+    assert len(result) == len(log) and position.max() < 0.02 and yaw.max() < 0.02
+    assert result["mu_hat"][late].median() == pytest.approx(MU, abs=0.01)
+    assert result["kappa_hat"][late].median() == pytest.approx(KAPPA, abs=0.02)
 
 
 def test_the_first_estimate_is_as_unsure_as_a_guess_is():
