@@ -39,13 +39,12 @@ def _correct_robustly(n, limit, tail):
 
     def correct(m, P, z, V, outputs, s_bar):
         before = kalman.update(m, P, z, V, outputs[n:], s_bar)
-        at = s_bar if n == len(outputs) else before.m
-        plain = kalman.update(before.m, before.P, z, V, outputs[:n], at)
+        plain = kalman.update(before.m, before.P, z, V, outputs[:n], before.m)
         far = plain.distance / limit
         loss = limit * ca.if_else(far < 1, far, tail(ca.fmax(far, 1)))
         loss += plain.deviance - plain.distance + before.deviance
         # Such a loss gives an outlier the weight of a measurement with a variance larger by d/c.
-        updated = kalman.update(before.m, before.P, z, V * ca.fmax(far, 1), outputs[:n], at)
+        updated = kalman.update(before.m, before.P, z, V * ca.fmax(far, 1), outputs[:n], before.m)
         return updated._replace(deviance=loss)
 
     return correct
