@@ -21,7 +21,9 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
-SHORT = dict(row_length_m=10.0, duration_s=40.0)  # with a curve
+# Its curve is driven from about 13 to 27 s.
+_BENT = rhec.Path.from_segments([(6.0, 0.0), (6.0, 0.15), (20.0, 0.0)])
+SHORT = dict(path=_BENT, duration_s=40.0)
 
 
 @pytest.mark.nightly(keep=1)

@@ -298,7 +298,8 @@ def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, mo
     edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
     path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT, A_COLUMN)
     found = nbformat.read(path, 4)
-    caption = "Words before.\n\n**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
+    caption = "**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
+    caption = f"**Figure 0.** Another.\n\n{caption}\n\nWords after."
     found.cells.insert(1, v4.new_markdown_cell(caption))
     nbformat.write(found, path)
     output = run_toy(monkeypatch, path)

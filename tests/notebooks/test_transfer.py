@@ -295,7 +295,7 @@ def test_the_page_leaves_out_a_calibration_that_kept_the_defaults():
 def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
     """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither.
 
-    A sample without an estimate counts in neither, and is not outside of [0, 1].
+    Each score but their number is that of the samples with an estimate alone.
     """
     n = 9
     error = [0.6, -0.6, 0.7, 0.1, np.nan, 0.0, -0.1, 2 * np.pi, 0.3]
@@ -312,9 +312,16 @@ def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
             kappa_hat=[0.9, 1.0, 0.0, 0.9, np.nan, -0.1, 0.9, 0.9, 0.9],
             innovation_x_m=0.0,
             innovation_y_m=0.0,
+            x_m=0.0,
+            y_m=0.0,
+            x_hat_m=error,
+            y_hat_m=0.0,
         )
     )
     values = scores.score(samples)
+    known = scores.score(samples[samples["theta_hat_rad"].notna()])
+    assert values == pytest.approx(known | dict(samples=n), rel=1e-12)
+    assert values["not_good"] == 0.5
     assert values["outside"] == 2 and values["not_ok"] == 1
     assert values["bad_unsure"] == pytest.approx(2 / 3)
     assert values["good_unsure"] == pytest.approx(1 / 4)
