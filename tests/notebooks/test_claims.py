@@ -1104,7 +1104,7 @@ def test_an_experiment_that_no_process_noise_affects_is_made_once_for_all(monkey
         assert made[noise, name].to_dict("list") == dict(of=[expected])
 
 
-def test_what_is_published_of_exact_properties_is_computed_again(virtual_machine, monkeypatch):
+def test_what_is_published_of_exact_properties_is_computed_again(monkeypatch):
     """No process noise, soil or computer affects it."""
     monkeypatch.setattr(experiments, "parallel_map", map)
     claims = {id_: ledger.CLAIMS[id_] for id_ in "S2 S3 S5 N2 A6 K1".split()}
@@ -1144,7 +1144,7 @@ def test_one_iteration_stands_beside_many_once_the_robot_has_settled(monkeypatch
     assert found == pytest.approx(expected)
 
 
-def test_one_iteration_a_sample_is_the_run_that_is_simulated(virtual_machine):
+def test_one_iteration_a_sample_is_the_run_that_is_simulated():
     faults = (rhec.Fault(kind="jump", channel="gnss", start_s=3.0, size_m=0.5),)
     scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0, seed=3, faults=faults)
     begin = time.perf_counter()
@@ -1157,7 +1157,7 @@ def test_one_iteration_a_sample_is_the_run_that_is_simulated(virtual_machine):
     assert (taken_s > 0).all() and taken_s.sum() < took_s
 
 
-def test_a_cold_command_is_that_of_a_controller_just_made(virtual_machine):
+def test_a_cold_command_is_that_of_a_controller_just_made():
     """Its first, where the previous estimate is the newest one; a warm one may be converged."""
     scenario = rhec.Scenario(process_noise="prediction", duration_s=8.0)
     *_, problems, commands = experiments.live(scenario, 20)
@@ -1186,7 +1186,7 @@ def test_a_step_is_in_time_if_all_of_it_fits_between_two_samples(monkeypatch):
     assert [*found["feedback_us"]] == [6, 3e4, 2.9e4]
 
 
-def test_the_search_tells_each_run_by_what_it_drove(virtual_machine):
+def test_the_search_tells_each_run_by_what_it_drove():
     """The last one, driven again."""
     table = experiments.lowest_traction("prediction", most=18)
     assert len(table) == 18
@@ -1289,14 +1289,14 @@ def test_the_growth_of_a_weight_has_no_unit():
     assert experiments._growth(halves) == pytest.approx(3)
 
 
-def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same(virtual_machine):
+def test_commands_on_estimates_are_those_on_a_truth_that_is_the_same():
     off = experiments.certainty_equivalence(4.0)["off_radps"]
     assert len(off) == 20 and off.max() < 1e-9
     (usual_s,) = experiments.certainty_equivalence.__defaults__
     assert usual_s == pytest.approx(paper.DT_S * PUBLISHED.loc["N1", "n"])
 
 
-def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run, virtual_machine):
+def test_the_step_with_the_usual_arrival_cost_is_the_rhe(run):
     steps = experiments.build_with_given_arrival()
     log = run.log[:60]
     estimates, P = experiments.run_with_given_arrival(steps, log, run.scenario)
@@ -1351,7 +1351,7 @@ def test_arrival_costs_are_those_of_each_field_with_its_own_covariance(monkeypat
     assert [*found["sigma_mu_left"]] == [1, 1]
 
 
-def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes(virtual_machine):
+def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes():
     log = rhec.simulate(rhec.Scenario(process_noise="prediction", duration_s=20.0)).log
     row = experiments._arrival_cost("prediction", log)
     changes = log["kappa_hat"].diff()

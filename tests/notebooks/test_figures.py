@@ -45,7 +45,7 @@ def scenario(**choice):
 
 
 @pytest.fixture(scope="module")
-def runs(virtual_machine):
+def runs():
     """{process noise: {"RHE": Run, "EKF": Run}}"""
     return {
         process_noise: {
@@ -57,7 +57,7 @@ def runs(virtual_machine):
 
 
 @pytest.fixture(scope="module")
-def by_weight(virtual_machine):
+def by_weight():
     """{weight: one Run a seed}"""
     return {
         weight: [
@@ -80,7 +80,7 @@ def sweep_a(by_weight):
 
 
 @pytest.fixture(scope="module")
-def sweep_b(virtual_machine):
+def sweep_b():
     return rhec.campaign(
         [
             scenario(process_noise=process_noise, estimator=estimator, seed=seed)

@@ -12,7 +12,7 @@ from notebooks.studies import scenario_tables, statistics, tables
 SHORT = dict(duration_s=8.0)
 
 
-def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
+def test_scenario_a_drives_each_weight_on_the_same_fields():
     weights = scenario_tables.yaw_weights()
     sweep, runs = scenario_tables.scenario_a(2, 1, weights, **SHORT)
     assert list(sweep["weight"].unique()) == list(runs) == list(weights)
@@ -110,7 +110,7 @@ def test_a_readable_table_has_a_column_a_variant_and_the_papers_after_them():
     }
 
 
-def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
+def test_scenario_b_drives_both_estimators_under_every_process_noise():
     sweep, runs = scenario_tables.scenario_b(2, 1, beside=1, turns="right", **SHORT)
     driven = set(zip(sweep["turns"], sweep["process_noise"], sweep["estimator"]))
     assert driven == {
