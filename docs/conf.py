@@ -1,6 +1,5 @@
 """Sphinx's configuration of the report; `docs.site.report` calls it."""
 
-import inspect
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
@@ -61,9 +60,6 @@ def setup(app):
     app.add_html_math_renderer("mathml", inline, display)
     app.connect("autodoc-before-process-signature", _show_plain_types)
     app.connect("html-page-context", _finish_page, priority=900)  # after the theme
-    for thing in (getattr(rhec, name) for name in rhec.__all__):
-        if inspect.isclass(thing) and "__signature__" in vars(thing):
-            thing.__signature__ = _plain(thing.__signature__)
 
 
 def _visit_inline_formula(translator, node):
@@ -80,23 +76,9 @@ def _visit_formula(translator, node):
 def _show_plain_types(app, thing, is_bound):
     """Leave of each annotation the type alone: `float` of `Annotated[float, Ge(0)]`."""
     hints = getattr(thing, "__annotations__", {})
-    hints.update(_types(hints))
-
-
-def _plain(signature):
-    """A signature with the types alone."""
-    types = _types({name: each.annotation for name, each in signature.parameters.items()})
-    plain = [
-        each.replace(annotation=types.get(name, each.annotation))
-        for name, each in signature.parameters.items()
-    ]
-    return signature.replace(parameters=plain)
-
-
-def _types(hints):
-    """Types of annotations, without those that are text or missing."""
-    known = {name: hint for name, hint in hints.items() if hint and not isinstance(hint, str)}
-    return get_type_hints(SimpleNamespace(__annotations__=known))
+    # Text stands for what is imported where types are checked alone.
+    known = {name: hint for name, hint in hints.items() if not isinstance(hint, str)}
+    hints.update(get_type_hints(SimpleNamespace(__annotations__=known)))
 
 
 # What Sphinx, myst-nb and furo write, and what it lacks for readers who use no mouse or no eyes.

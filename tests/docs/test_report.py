@@ -222,6 +222,8 @@ two
 
 ```{eval-rst}
 .. autoclass:: rhec.Fault
+
+.. automethod:: rhec.Path.racetrack
 ```
 """
 
@@ -247,8 +249,9 @@ def test_a_page_has_formulas_types_and_outputs_that_all_can_read(site):
         for name in ("index.html", "two.html")
     )
     assert [formula["display"] for formula in page.select("math")] == ["inline", "block"]
-    signature = " ".join(page.select_one("dt.sig").get_text().split())
-    assert "start_s: float = 0.0, duration_s: float = 1" in signature  # without Annotated
+    one, other = (" ".join(part.get_text().split()) for part in page.select("dt.sig"))
+    assert "start_s: float = 0.0, duration_s: float = 1" in one  # without Annotated
+    assert "racetrack(row_length_m: float, radius_m: float)" in other
     assert len(page.select("dl[role=list] > dd[role=listitem]")) == 1 + len(
         inspect.signature(rhec.Fault).parameters
     )

@@ -4,6 +4,7 @@ import csv
 from concurrent.futures import Executor, Future
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import rhec
@@ -67,13 +68,18 @@ CASES = [(name, rule) for name, tuned in calibration.ESTIMATORS.items() for rule
 
 @pytest.mark.parametrize("estimator", calibration.ESTIMATORS)
 def test_a_rule_sets_all_that_the_estimator_uses_of_w_and_v(estimator, bowl, monkeypatch):
-    """A filter does not use the noise of the yaw rate: it stays as printed."""
+    """A filter does not use the noise of the yaw rate: it stays as printed. Its row says the seeds
+    of the one that is shipped.
+    """
 
     def search(evaluate, unknowns, known):
         evaluate(calibration.sigma_of(np.log([0.0123] * len(unknowns)), unknowns))
 
     monkeypatch.setattr(calibration, "search", search)
-    row = calibration.calibrate(estimator, "prediction")
+    shipped = calibration.read_rows(calibration.file_of(estimator))
+    for rule in calibration.ESTIMATORS[estimator].rules:
+        row = calibration.calibrate(estimator, rule)
+        assert row["seeds"] == shipped[estimator, rule]["seeds"]
     fields = calibration.ESTIMATORS[estimator].fields
     scenario = rhec.Scenario(sigma_w=row["sigma_w"], sigma_v=row["sigma_v"], **fields)
     np.testing.assert_allclose(scenario.sigma_w, 0.0123)
@@ -96,23 +102,28 @@ def test_rhe_and_ekf_are_tuned_with_equal_care(bowl):
 
 
 def test_rules_see_training_seeds_alone_and_no_estimator_in_the_loop_but_for_tracking(monkeypatch):
+    """Those that the shipped rows say; tracking drives by the estimator with the tried noise."""
     seen = []
 
-    def simulate(scenarios):
+    def drive(scenarios, **options):
         seen.extend(scenarios)
-        return []
+        return pd.DataFrame(dict(mean_error_true_m=np.arange(len(scenarios) + 1.0)))
 
-    monkeypatch.setattr(calibration, "simulate", simulate)
-    for rule in ("consistent", "prediction", "soft_soil"):
-        calibration.RULES[rule](dict(estimator="ekf"))
-    assert {scenario.estimator for scenario in seen} == {"oracle"}
-    assert {scenario.turns for scenario in seen} == {"alternate"}
-    seeds = {scenario.seed for scenario in seen} | {*calibration.TRAINING_SEEDS}
-    assert min(seeds) >= 1000 and max(seeds) < 2000
-    driven = []
-    monkeypatch.setattr(calibration, "tracking_error_m", lambda **fields: driven.append(fields))
-    calibration.RULES["tracking"](dict(estimator="ekf"))(sigma_w=(1,), sigma_v=(2,))
-    assert driven == [dict(estimator="ekf", sigma_w=(1,), sigma_v=(2,))]
+    for name in ("simulate", "campaign"):
+        monkeypatch.setattr(calibration, name, drive)
+    noise = NOISES["ekf"]["consistent"]._asdict()
+    shipped = calibration.read_rows(tuning.FILE)
+    for rule in ("consistent", "prediction", "soft_soil", "tracking"):
+        seen.clear()
+        objective = calibration.RULES[rule](dict(estimator="ekf"))
+        if rule == "tracking":
+            assert objective(**noise) == len(seen) / 2
+        first, *_, last = seeds = [scenario.seed for scenario in seen]
+        assert shipped["ekf", rule]["seeds"] == f"{first}-{last}"
+        assert seeds == [*range(first, last + 1)] and 1000 <= first < last < 2000
+        driver = dict(estimator="ekf") | noise if rule == "tracking" else dict(estimator="oracle")
+        for scenario in seen:
+            assert scenario.turns == "alternate" and vars(scenario).items() >= driver.items()
 
 
 def test_the_search_finds_the_deeper_of_two_minima(monkeypatch):

@@ -1,6 +1,4 @@
-"""Figures and tables: the same bytes again, where they came from inside, no label cut off or on
-another.
-"""
+"""Figures and tables: the same bytes again, and where they came from inside."""
 
 import dataclasses
 import functools
@@ -9,20 +7,10 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-import pytest
 from PIL import Image
-from text_boxes import text_defects
 
 import rhec
-from notebooks.plots import robot_drawings
 from rhec import style
-
-DRAWINGS = [
-    robot_drawings.robot_in_row,
-    robot_drawings.robot_parts,
-    robot_drawings.hardware_blocks,
-    robot_drawings.schematic,
-]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,9 +119,3 @@ def test_style_stays_inside_its_figures():
     assert {tick.get_fontsize() for tick in figure.axes[0].get_xticklabels()} == {
         style.RC["xtick.labelsize"]
     }
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("draw", DRAWINGS)
-def test_labels_of_a_drawing_are_whole_and_apart(draw):
-    assert text_defects(draw()) == []

@@ -21,7 +21,9 @@ from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
-SHORT = dict(row_length_m=10.0, duration_s=40.0)  # with a curve
+# Its curve is driven from about 13 to 27 s.
+_BENT = rhec.Path.from_segments([(6.0, 0.0), (6.0, 0.15), (20.0, 0.0)])
+SHORT = dict(path=_BENT, duration_s=40.0)
 
 
 @pytest.mark.nightly(keep=1)
@@ -49,7 +51,7 @@ def test_the_steady_ekf_is_the_limit_of_the_filter(sigma_x_m):
     )
 
 
-def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
+def test_nothing_is_learnt_of_kappa_on_a_straight():
     """There its variance grows by σ_κ² a sample; in a curve it stays."""
     sigma = [0.1, 0.2]
     straight = [interpretations.rhe_sigma_kappa(sigma, 0.0, samples) for samples in (60, 120)]
@@ -63,7 +65,7 @@ def test_nothing_is_learnt_of_kappa_on_a_straight(virtual_machine):
 
 
 @pytest.fixture(scope="module")
-def moved(virtual_machine):
+def moved():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             interpretations,
@@ -117,7 +119,7 @@ def test_a_rare_count_has_an_interval_from_zero_on_and_a_difference_has_not(monk
 @pytest.mark.parametrize(
     "estimator, places, state", [("rhe", (5,), "kappa_hat"), ("ekf", (0, 1), "theta_hat_rad")]
 )
-def test_a_sweep_moves_one_number_of_w(estimator, places, state, virtual_machine, monkeypatch):
+def test_a_sweep_moves_one_number_of_w(estimator, places, state, monkeypatch):
     """From its value as printed to that by prediction; the ends are drawn as they were."""
     asked = []
     simulate = interpretations.simulate

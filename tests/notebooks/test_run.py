@@ -218,6 +218,25 @@ def test_outputs_that_jupyterlab_saves_are_no_edit(tmp_path, monkeypatch):
     assert edited == [(path, {}, output)]
 
 
+@pytest.mark.parametrize(
+    "values, asked, figures",
+    [({}, None, None), ({"seed": 3}, None, "out"), ({"seed": 3}, "mine", "mine")],
+)
+def test_figures_of_other_values_go_beside_the_output_or_where_their_user_wants_them(
+    values, asked, figures, monkeypatch
+):
+    """Of the notebook's own values `make clean` has a list; what others made stays."""
+    monkeypatch.delenv("RHEC_FIGURES", raising=False)
+    if asked:
+        monkeypatch.setenv("RHEC_FIGURES", asked)
+    before = dict(os.environ)
+    with notebook._environment(Path("toy.ipynb"), values, Path("out.ipynb")):
+        assert os.environ.get("RHEC_FIGURES") == figures
+        assert ("RHEC_MADE" in os.environ) == (figures is None)
+        assert os.environ["RHEC_NOTEBOOK"] == "toy.ipynb"
+    assert dict(os.environ) == before
+
+
 def test_a_notebook_that_takes_long_says_below_which_heading_it_is(monkeypatch, capfd):
     monkeypatch.setattr(notebook, "_TELL_S", 0.05)
     with notebook._telling("toy") as on_cell_start:
@@ -298,7 +317,8 @@ def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, mo
     edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
     path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT, A_COLUMN)
     found = nbformat.read(path, 4)
-    caption = "Words before.\n\n**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
+    caption = "**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
+    caption = f"**Figure 0.** Another.\n\n{caption}\n\nWords after."
     found.cells.insert(1, v4.new_markdown_cell(caption))
     nbformat.write(found, path)
     output = run_toy(monkeypatch, path)

@@ -12,7 +12,7 @@ from notebooks.studies import scenario_tables, statistics, tables
 SHORT = dict(duration_s=8.0)
 
 
-def test_scenario_a_drives_each_weight_on_the_same_fields(virtual_machine):
+def test_scenario_a_drives_each_weight_on_the_same_fields():
     weights = scenario_tables.yaw_weights()
     sweep, runs = scenario_tables.scenario_a(2, 1, weights, **SHORT)
     assert list(sweep["weight"].unique()) == list(runs) == list(weights)
@@ -89,6 +89,10 @@ def test_the_tables_of_skewed_drives_have_their_means_and_ranges():
         made = of_a.assign(settling_time_s=slow, overshoot_m=swinging)
         judged = scenario_tables.scenario_a_table(made).set_index("weight")["verdict"]
         assert judged["Q1 / Q3"] == judged["Q2 / Q3"] == verdict
+    never = of_a.assign(settling_time_s=of_a["settling_time_s"].where(of_a["weight"] != "Q1"))
+    shown = scenario_tables.scenario_a_table(never).set_index(["weight", "quantity"])
+    assert shown.loc[("Q1", "settling time [s]"), "n"] == 0
+    assert shown.loc[("Q1 / Q3", "settling time, ratio"), "verdict"] == "undecided"
 
 
 def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():
@@ -110,7 +114,7 @@ def test_a_readable_table_has_a_column_a_variant_and_the_papers_after_them():
     }
 
 
-def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_machine):
+def test_scenario_b_drives_both_estimators_under_every_process_noise():
     sweep, runs = scenario_tables.scenario_b(2, 1, beside=1, turns="right", **SHORT)
     driven = set(zip(sweep["turns"], sweep["process_noise"], sweep["estimator"]))
     assert driven == {
@@ -130,10 +134,26 @@ def test_scenario_b_drives_both_estimators_under_every_process_noise(virtual_mac
     assert pair["EKF"].scenario == dataclasses.replace(run.scenario, estimator="ekf")
 
 
-def test_a_rival_that_is_lost_proves_nothing():
-    rows = [dict(estimator=name, mean_error_m=0.03 + k) for k, name in enumerate(("rhe", "ekf"))]
-    sweep = pd.DataFrame(rows * 3).assign(turns="left", process_noise="printed")
+def test_at_most_none_includes_none_and_a_rival_that_is_lost_proves_nothing():
+    """Below zero does not include zero. The EKF is lost with W as printed."""
+    sweep = pd.DataFrame(
+        [
+            dict(turns="left", process_noise=noise, estimator=name, mean_error_m=mean_error_m)
+            for noise, ekf_m in (("printed", 1.0), ("prediction", 0.05))
+            for name, mean_error_m in (("rhe", 0.03), ("ekf", ekf_m))
+        ]
+        * 3
+    )
     others = {*scenario_tables._QUANTITIES_B} - {"mean_error_m", "is_clean"}
-    table = scenario_tables.scenario_b_table(sweep.assign(**dict.fromkeys(others, 0.0)))
-    gains = table[table["estimator"] == "RHE - EKF"]
-    assert [*gains["verdict"]] == [statistics.LOST] * 2
+    sweep = sweep.assign(**dict.fromkeys(others, 0.0))
+
+    def verdicts(sweep):
+        table = scenario_tables.scenario_b_table(sweep)
+        judged = table[table["claim"] != ""].groupby("process_noise")
+        return {noise: [*rows["verdict"]] for noise, rows in judged}
+
+    none = verdicts(sweep)
+    assert none["printed"] == [statistics.LOST, "holds", statistics.LOST]
+    assert none["prediction"] == ["holds", "holds", "does not hold"]
+    once = verdicts(sweep.assign(violations=1.0 * (np.arange(len(sweep)) == 0)))
+    assert (once["printed"][1], once["prediction"][1]) == ("does not hold", "holds")

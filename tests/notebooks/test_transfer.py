@@ -158,12 +158,13 @@ def at_once(monkeypatch):
         return dict(sigma_v=(0.02,) * 4, sigma_w=(sigma_w,) * 2, slip=(0.02,) * 5)
 
     monkeypatch.setattr(transfer, "calibrate", calibrated)
+    monkeypatch.setattr(transfer, "_tuned", lambda title, log: of_rival(title, 1e-4 * len(log)))
+
+
+def of_rival(title, sigma):
+    """The standard deviations of a rival: those of what is measured, and all others."""
     entries = {"EKF of (μ, κ)": 12, "EKF of ICR": 14}
-
-    def tuned(title, log):
-        return (0.02,) * 4 + (1e-4 * len(log),) * (entries[title] - 4)
-
-    monkeypatch.setattr(transfer, "_tuned", tuned)
+    return (0.02,) * 4 + (sigma,) * (entries[title] - 4)
 
 
 @pytest.fixture(scope="module")
@@ -207,13 +208,18 @@ def test_each_robot_is_left_out_once(logs, at_once):
     assert (by_way["yaw_rms_rad", "itself"] != by_way["yaw_rms_rad", "others"]).all()
 
 
-def test_scores_do_not_depend_on_where_a_log_was_recorded(logs, at_once, monkeypatch):
+def test_scores_do_not_depend_on_where_a_log_was_recorded(logs, monkeypatch):
     """In a mirror, turned, elsewhere and later."""
     monkeypatch.setattr(transfer, "NOISE_M", 0.0)
     monkeypatch.setattr(transfer, "YAW_ERROR_RAD", 0.0)
-    there = {name: later(moved(turned(in_a_mirror(log)))) for name, log in logs.items()}
-    one, other = (transfer.trials(each, [0]) for each in (logs, there))
-    pd.testing.assert_frame_equal(one, other, rtol=1e-3, atol=1e-5)
+    here = logs["other"]
+    sigmas = {name: dict(itself=of_rival(name, 0.01)) for name in rivals.RIVALS}
+    one, other = (
+        transfer._tried("other", page.aligned(log), "RHE, gyro", dict(itself={}), sigmas, 0)
+        for log in (here, later(moved(turned(in_a_mirror(here)))))
+    )
+    pd.testing.assert_frame_equal(pd.DataFrame(one), pd.DataFrame(other), rtol=1e-3, atol=1e-5)
+    assert len(one) == 4
 
 
 def test_a_search_finds_the_least_value_within_its_evaluations():
@@ -295,7 +301,7 @@ def test_the_page_leaves_out_a_calibration_that_kept_the_defaults():
 def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
     """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither.
 
-    A sample without an estimate counts in neither, and is not outside of [0, 1].
+    Each score but their number is that of the samples with an estimate alone.
     """
     n = 9
     error = [0.6, -0.6, 0.7, 0.1, np.nan, 0.0, -0.1, 2 * np.pi, 0.3]
@@ -312,9 +318,16 @@ def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
             kappa_hat=[0.9, 1.0, 0.0, 0.9, np.nan, -0.1, 0.9, 0.9, 0.9],
             innovation_x_m=0.0,
             innovation_y_m=0.0,
+            x_m=0.0,
+            y_m=0.0,
+            x_hat_m=error,
+            y_hat_m=0.0,
         )
     )
     values = scores.score(samples)
+    known = scores.score(samples[samples["theta_hat_rad"].notna()])
+    assert values == pytest.approx(known | dict(samples=n), rel=1e-12)
+    assert values["not_good"] == 0.5
     assert values["outside"] == 2 and values["not_ok"] == 1
     assert values["bad_unsure"] == pytest.approx(2 / 3)
     assert values["good_unsure"] == pytest.approx(1 / 4)

@@ -171,7 +171,7 @@ def estimator(mu_next):
 
 
 @pytest.mark.nightly
-def test_an_estimator_must_learn(virtual_machine):
+def test_an_estimator_must_learn():
     first = estimator(lambda mu, ahead: 0.9)
     assert tutorial_checks.estimator(
         estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first

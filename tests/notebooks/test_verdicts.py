@@ -30,14 +30,6 @@ def test_a_robot_in_open_loop_is_what_its_kind_says(kind):
     )
 
 
-def test_what_is_true_of_a_log_is_what_its_robot_does():
-    """By the regression on its true path, of the robot's centre: not of an antenna beside it."""
-    log = verdicts.open_loop_log(3, drift_radpm=0.05, slip=0.0, lag_s=0.0, duration_s=90.0)
-    samples = rhec.log(log, trust_log=True).samples.assign(arm_forward_hat_m=0.5)
-    found = [slope.value for slope in verdicts.true_slopes(samples)]
-    assert found == pytest.approx([verdicts.MU, verdicts.KAPPA, 0.05], abs=0.01)
-
-
 def test_each_log_of_the_page_is_judged(monkeypatch):
     monkeypatch.setattr(verdicts, "judged", lambda log: dict(rows=len(log)))
     monkeypatch.setattr(page, "aligned", lambda log: log[1:])
@@ -93,22 +85,34 @@ def test_drives_are_of_the_kinds_and_seeds_that_the_page_says():
             assert drive.make.args == (world, *expected.values())
 
 
+# Its slopes are known, and it has no lag.
+ROBOT = dict(drift_radpm=0.05, slip=0.0, lag_s=0.0, duration_s=60.0)
+KNOWN = [verdicts.MU, verdicts.KAPPA, 0.05]
+
+
 @pytest.fixture(scope="module")
 def summary():
     """What is said of a short drive, and which of its samples count."""
-    log = verdicts.open_loop_log(3, duration_s=60.0)
+    log = verdicts.open_loop_log(3, **ROBOT)
     found = rhec.log(log, trust_log=True)
     return found, scores.distance_driven(found.way) >= scores.FROM_M
 
 
+def test_what_is_true_of_a_log_is_what_its_robot_does(summary):
+    """By the regression on its true path, of the robot's centre: not of an antenna beside it."""
+    samples = summary[0].samples.assign(arm_forward_hat_m=0.5)
+    found = [slope.value for slope in verdicts.true_slopes(samples)]
+    assert found == pytest.approx(KNOWN, abs=0.01)
+
+
 def test_a_drive_is_tried_as_it_is_judged(summary, monkeypatch):
-    robot = verdicts.partial(verdicts.open_loop_log, 3, duration_s=60.0)
-    drive = verdicts.Drive("open", "short", 3, robot, [0.9, 0.6, 0.0])
+    robot = verdicts.partial(verdicts.open_loop_log, 3, **ROBOT)
+    drive = verdicts.Drive("open", "short", 3, robot, KNOWN)
     monkeypatch.setattr(verdicts, "drives", lambda seeds: [drive] * seeds)
     (row,) = verdicts.trials(1).to_dict("records")
-    expected = verdicts.of_summary(summary[0], [0.9, 0.6, 0.0])
+    expected = verdicts.of_summary(summary[0], KNOWN)
     assert row == pytest.approx(dict(loop="open", kind="short", seed=3) | expected, nan_ok=True)
-    assert (row["μ_true"], row["κ_true"], row["drift_true"]) == (0.9, 0.6, 0.0)
+    assert [row["μ_true"], row["κ_true"], row["drift_true"]] == KNOWN
     table = summary[0].traction
     assert (row["κ_low"], row["κ_high"]) == tuple(table.loc["κ", ["low", "high"]])
 

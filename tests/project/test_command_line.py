@@ -19,12 +19,11 @@ from helpers import SIMPLE_WORLD, recorded_log
 import rhec
 from rhec.cli import main
 
-pytestmark = pytest.mark.usefixtures("virtual_machine")
 SHORT = ["--duration-s", "8"]
 
 
 @pytest.fixture(scope="module")
-def log_file(tmp_path_factory, virtual_machine):
+def log_file(tmp_path_factory):
     """A simulated drive as a recorded log."""
     file = tmp_path_factory.mktemp("recorded") / "drive.csv"
     run = rhec.simulate(rhec.Scenario(duration_s=20, **SIMPLE_WORLD))

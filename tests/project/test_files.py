@@ -115,7 +115,6 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("what", WRITERS)
-@pytest.mark.usefixtures("virtual_machine")
 def test_where_writing_fails_each_file_is_the_old_or_the_new_one(what, tmp_path, monkeypatch):
     """Whichever operation it is, on a full disk or by Ctrl-C; the next call writes all of it."""
     monkeypatch.setattr(rhec.Run, "plot", lambda run: Figure(figsize=(run.scenario.seed, 1)))
