@@ -206,25 +206,35 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch, one_by_one):
             table = rhec.campaign(short(8), tmp_path)
             break
         except KeyboardInterrupt as interrupt:
-            assert "of 8 runs; the same call continues from there" in str(interrupt)
+            kept = len(load_rows(store.open_folder(tmp_path)))
+            said = f"interrupted after {kept} of 8 runs; the same call continues from there"
+            assert str(interrupt) == said
     monkeypatch.undo()
     assert interruptions >= 2 and len([scenario for scenario in runs if scenario]) == 8
     assert_equal_rows(table, rhec.campaign(short(8)))
 
 
 def test_rows_are_kept_by_all_that_changes_bits(tmp_path, ran, monkeypatch):
-    here = store.provenance()
-    with monkeypatch.context() as patch:
-        patch.setattr(store.platform, "libc_ver", lambda: ("glibc", "0.1"))
-        assert store.provenance() != here
-    (tmp_path / "processor").write_text("flags\t\t: fpu avx2\n")
-    with monkeypatch.context() as patch:
-        patch.setattr(compiled, "PROCESSOR", tmp_path / "processor")
-        assert store.provenance() != here
-    with monkeypatch.context() as patch:
-        patch.setattr(compiled, "source_digest", lambda: "of other source")
-        store._installed.cache_clear()
-        assert store.provenance() != here
+    here, real = store.provenance(), compiled.compiler()
+    processor = tmp_path / "processor"
+    processor.write_text("flags\t\t: fpu avx2\n")
+    version = store.importlib.metadata.version
+    others = [
+        (store.platform, "libc_ver", lambda: ("glibc", "0.1")),
+        (store.platform, "machine", lambda: "another"),
+        (compiled, "PROCESSOR", processor),
+        (compiled, "compiler", lambda: None if real else "cc"),
+        (compiled, "source_digest", lambda: "of other source"),
+        (store.terrain, "STANDARD_FIELDS", processor),
+    ]
+    for library in ("casadi", "numpy", "scipy"):
+        newer = lambda name, library=library: version(name) + "1" * (name == library)  # noqa: E731
+        others.append((store.importlib.metadata, "version", newer))
+    for place, name, other in others:
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, other)
+            store._installed.cache_clear()
+            assert store.provenance() != here, name
     store._installed.cache_clear()
     assert store.provenance() == here
     folder = tmp_path / "rows"

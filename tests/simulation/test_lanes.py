@@ -176,7 +176,7 @@ def test_a_helper_on_one_line_takes_no_other_helper_with_it():
     assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 
-def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
+def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_runs(always, monkeypatch):
     own = rhec.Terrain.uniform(0.9, 0.7), rhec.Terrain.uniform(0.7, 0.9)
     kinds = [dict(q=(1.0, 1.0, 10.0)), dict(terrain=own[0])]
     kinds += [dict(start_offset_m=offset) for offset in (0.0, -0.0)]
@@ -186,9 +186,12 @@ def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_bits(a
     ]
     set_up, made = closed_loop.set_up, []
     monkeypatch.setattr(closed_loop, "set_up", lambda each: made.append(each) or set_up(each))
-    table = rhec.campaign(scenarios, workers=1)
+    runs = rhec.simulate(scenarios)
     assert len(made) == len(kinds) + 1  # one tells which lanes to compile
-    assert_rows_of_simulate(table, scenarios)
+    for run, alone in zip(runs, map(rhec.simulate, scenarios)):
+        pd.testing.assert_frame_equal(run.log, alone.log, check_exact=True)
+        np.testing.assert_equal(dataclasses.asdict(run.terrain), dataclasses.asdict(alone.terrain))
+        np.testing.assert_equal(run.metrics, alone.metrics)
 
 
 def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):

@@ -1,7 +1,5 @@
 """The yaw drift as one more state: a robot that turns on a straight, θ' = κω + μνδ."""
 
-import re
-
 import numpy as np
 import pytest
 from helpers import choice_of, weaving_yaw_rates, with_noise
@@ -196,12 +194,33 @@ def test_a_disturbance_takes_at_most_half_of_the_bound_of_the_yaw_rate(drift, di
 
 
 def test_without_the_yaw_drift_there_is_no_disturbance():
-    without, with_drift = (rhec.RHE(horizon=2, yaw_drift=each) for each in (False, True))
-    estimate = without.step((0.0, 0.0, 0.5, 0.0))
-    assert estimate.yaw_drift is None and "yaw_drift" not in repr(estimate)
-    assert rhec.RHC(horizon=2).disturbance(estimate) == 0.0
-    shown = repr(with_drift.step((0.0, 0.0, 0.5, 0.0)))
-    assert re.search(r"kappa: 1 ± 0.25\n    yaw_drift_radpm: 0 ± 0.05$", shown), shown
+    estimate = rhec.RHE(horizon=2).step((0.0, 0.0, 0.5, 0.0))
+    assert estimate.yaw_drift is None and rhec.RHC(horizon=2).disturbance(estimate) == 0.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        dict(speed_model="parameter"),
+        dict(speed_model="parameter", yaw_drift=True),
+        dict(speed_model="input", yaw_drift=True),
+        dict(speed_model="slipping"),
+    ],
+    ids=str,
+)
+def test_an_estimate_is_shown_with_the_deviations_that_its_covariance_has(options):
+    """Each quantity with that of its own, and none where it has none."""
+    rhe = rhec.RHE(horizon=2, **options)
+    estimate = rhe.step((1.0, 2.0, 0.5, 0.1))
+    names = [name for name in rhe.model.joint_names if name not in rhe.model.inputs]
+    sigma = dict(zip(names, np.sqrt(np.diag(estimate.covariance))))
+    values = dict(zip((*QUANTITIES, "yaw_drift_radpm"), [*estimate[:6], estimate.yaw_drift]))
+    expected = [
+        f"{name}: {value:.4g}" + (f" ± {sigma[name]:.2g}" if name in sigma else "")
+        for name, value in values.items()
+        if value is not None
+    ]
+    assert repr(estimate).split("\n    ")[1:] == expected
 
 
 @pytest.mark.nightly(keep=1)
