@@ -264,7 +264,7 @@ def test_positions_that_jump_are_not_used_until_one_has_to_be(robot, measured):
         assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
         assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
         if 10 <= k < 9 + most:
-            assert status == PREDICTED and np.abs(estimate[:2]).max() < 100
+            assert status & PREDICTED and np.abs(estimate[:2]).max() < 100
     assert np.abs(estimate[:2] - row[:2]).max() < 1
 
 
