@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers import controller, estimator, fused_sample, no_compiler
 from in_c import InC
-from loops import LOOPS, SMALL, live_step, unlike
+from loops import LOOPS, SMALL, lanes_as_in_use, live_step, unlike
 from oracles import flat, mhe_instance, mpc_instance
 from robots import ROBOTS, VARIANTS
 
@@ -101,14 +101,7 @@ def in_c(scenario, run, folder, machine=toolchain.this_machine):
 
 
 def as_in_use(scenario, run, folder):
-    """Lanes compiled with the flags that campaigns have, without those of the tests."""
-
-    def load(build, *structure):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(compiled, "FLAGS", [flag for flag in compiled.FLAGS if flag != "-O0"])
-            return lanes.load.__wrapped__(build, *structure)
-
-    in_lanes(scenario, run, folder, load)
+    in_lanes(scenario, run, folder, lanes_as_in_use)
 
 
 def on_arm(scenario, run, folder):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from condensed_rhc import controller
-from loops import LOOPS, SMALL, unlike
+from loops import LOOPS, SMALL, lanes_as_in_use, unlike
 from own_steps import untraceable
 
 import rhec
@@ -21,23 +21,6 @@ from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
 
 pytestmark = pytest.mark.skipif(lanes.cpp_compiler() is None, reason="there is no C++ compiler")
-
-
-def load_as_in_use(build, *structure):
-    """The block with the flags that campaigns have, without what `conftest` adds to them."""
-    flags = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "FLAGS", flags)
-        return lanes.load.__wrapped__(build, *structure)
-
-
-def one_by_one_and_at_once(build, structure, memories, streams, settings, load=lanes.load):
-    """Rows of the runs by both ways."""
-    functions, block = compiled.load(build, *structure), load(build, *structure)
-    assert block.lanes in (2, 4, 8)
-    runs = [*zip(memories, streams, settings)]
-    at_once = runner.run(block, memories, streams, settings)
-    return [runner.run_one(functions, *run) for run in runs], at_once
 
 
 # Parts
@@ -263,15 +246,16 @@ def test_own_functions_are_within_a_few_units_in_the_last_place():
         assert np.max(off / np.spacing(np.abs(exact).astype(float))) <= units
 
 
-@pytest.mark.parametrize("load", (lanes.load, load_as_in_use))
+@pytest.mark.parametrize("load", (lanes.load, lanes_as_in_use))
 def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar(load):
     x = angles(500)
     extremes = [0.0, np.nan, np.inf, 1e6, 1e300, 5e-324, 1.5, 2.0**51, 2.0**52 + 1, 3.0]
     x = np.concatenate([x, extremes, np.negative(extremes), np.arange(20) / 4])
     streams = [np.random.default_rng(lane).permutation(x)[:, None] for lane in range(8)]
     memories, settings = np.arange(8.0)[:, None], [{}] * 8
-    runs = memories, streams, settings
-    one_by_one, at_once = one_by_one_and_at_once(build_functions, (), *runs, load)
+    functions, block = compiled.load(build_functions), load(build_functions)
+    at_once = runner.run(block, memories, streams, settings)
+    one_by_one = [runner.run_one(functions, *run, {}) for run in zip(memories, streams)]
     np.testing.assert_array_equal(at_once, one_by_one)
     virtual = runner.run_one(build_functions(), memories[0], streams[0], {})
     near = np.abs(streams[0][:, 0]) < 1e5
