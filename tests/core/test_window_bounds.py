@@ -66,6 +66,8 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, narro
         np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
         np.testing.assert_array_equal(mhe.u_window[:, -1], found.u)
         active += np.abs(optimum["states"][0] - WALL_M).min() < 1e-7
+        mhe.step(z[-1])
+        assert not mhe.converged
     assert active >= 2 if narrow else active == 0
 
 

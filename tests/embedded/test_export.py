@@ -312,7 +312,7 @@ def output_of(*command):
 def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     compiler = shutil.which("clang") or compiled.compiler()
     sanitizers = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-    command = [compiler, "-std=c99", "-O0", "-g1", *sanitizers, "-o", tmp_path / "fuzz"]
+    command = [compiler, "-std=c99", "-O0", *sanitizers, "-o", tmp_path / "fuzz"]
     probe = [*command, "-x", "c", "-"]
     if subprocess.run(probe, input="int main(void) { return 0; }", text=True).returncode:
         pytest.skip(f"{compiler} has no sanitizers")
