@@ -345,29 +345,42 @@ def test_answers_are_bounded_while_fuzzing(exported, built):
         assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
+WRONG = """#include <stdlib.h>
+static int wrong(int kind) { return *getenv("WRONG") == kind; }
+"""
+
+
 @needs_compiler
-def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path):
+def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path, monkeypatch):
     """A command out of bounds, an estimate that is no number, and one that is wrong by a metre."""
     folder = exported("EKF")
     machine, (_, scenario) = built("EKF")
     text = (folder / "rhec.c").read_text()
-    commanded = "*omega = r->omega[0];"
-    estimated = "memcpy(estimate, r->estimate, sizeof r->estimate);"
-
-    def fuzzed(right, wrong):
+    for right, changed in (
+        ("*omega = r->omega[0];", "*omega *= wrong('c') ? 1.001 : 1;"),
+        (
+            "memcpy(estimate, r->estimate, sizeof r->estimate);",
+            "estimate[5] *= wrong('n') ? 1e308 * 10 : 1; estimate[0] += wrong('m');",
+        ),
+    ):
         assert right in text
-        (tmp_path / "rhec.c").write_text(text.replace(right, wrong))
-        sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
-        command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
-        subprocess.run([*command, "-o", tmp_path / "fuzz"], cwd=tmp_path, check=True)
+        text = text.replace(right, f"{right} {changed}")
+    (tmp_path / "rhec.c").write_text(WRONG + text)
+    sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
+    command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
+    subprocess.run([*command, "-o", tmp_path / "fuzz"], cwd=tmp_path, check=True)
+
+    def fuzzed(wrong):
+        monkeypatch.setenv("WRONG", wrong)
         return toolchain.nonsense(machine, tmp_path / "fuzz", 1500, 0).iloc[0]
 
     with pytest.raises(RuntimeError, match="^fuzz failed: omega was -?0.1001$"):
-        fuzzed(commanded, "*omega = 1.001 * r->omega[0];")
+        fuzzed("c")
     with pytest.raises(RuntimeError, match="^fuzz failed: estimate 5 was -?inf$"):
-        fuzzed(estimated, f"{estimated} estimate[5] *= 1e308 * 10;")
-    off = fuzzed(estimated, f"{estimated} estimate[0] += 1.0;")
+        fuzzed("n")
+    off = fuzzed("m")
     assert off["still_lost"] == off["storms"] >= off["unnoticed"] > 0.5 * off["storms"]
+    assert fuzzed("")["unnoticed"] == 0
 
 
 def test_an_export_is_as_far_from_python_as_its_log_says(exported, built, tmp_path, monkeypatch):
