@@ -352,7 +352,10 @@ static int wrong(int kind) { return *getenv("WRONG") == kind; }
 
 @needs_compiler
 def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path, monkeypatch):
-    """A command out of bounds, an estimate that is no number, and one that is wrong by a metre."""
+    """A command out of bounds, an estimate that is no number, and one that is wrong by a metre.
+
+    And what is never solved begins anew once it was predicted for as long as it may be.
+    """
     folder = exported("EKF")
     machine, (_, scenario) = built("EKF")
     text = (folder / "rhec.c").read_text()
@@ -365,6 +368,8 @@ def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path,
     ):
         assert right in text
         text = text.replace(right, f"{right} {changed}")
+    assert "= estimator_ok(r) ?" in text
+    text = text.replace("= estimator_ok(r) ?", "= estimator_ok(r) && !wrong('u') ?")
     (tmp_path / "rhec.c").write_text(WRONG + text)
     sources = tmp_path / "rhec.c", folder / "fuzz.c", scenario
     command = [machine.compiler, *QUICKLY, f"-I{folder}", *sources, "-lm"]
@@ -381,6 +386,10 @@ def test_fuzzing_detects_what_is_wrong_with_an_answer(exported, built, tmp_path,
     off = fuzzed("m")
     assert off["still_lost"] == off["storms"] >= off["unnoticed"] > 0.5 * off["storms"]
     assert fuzzed("")["unnoticed"] == 0
+    unsolved = fuzzed("u")
+    patience = re.search(r"RHEC_PATIENCE (\d+)", (folder / "rhec_memory.h").read_text())[1]
+    expected = unsolved["samples"] / (int(patience) + 1)
+    assert unsolved["estimator_restarted"] == pytest.approx(expected, rel=0.05)
 
 
 def test_an_export_is_as_far_from_python_as_its_log_says(exported, built, tmp_path, monkeypatch):
