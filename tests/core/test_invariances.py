@@ -4,9 +4,7 @@ They do not depend on where, how turned and in which units a robot is, nor on wh
 Each row of the table is a robot, a run and a change. `make test` has each run of the live objects
 with most changes once (QUICK says which), `make nightly` all rows. That exported C computes the
 same, `tests/agreement` shows. A closed loop with its world is in
-`tests/simulation/test_both_sides`. That lanes have the bits of a single run `tests/agreement` tests
-of the loops of campaigns, and of any robot's RHE with an RHC that bounds commands alone. No
-campaign runs the EKF, or other bounds, of a Model.
+`tests/simulation/test_both_sides`.
 """
 
 import functools
