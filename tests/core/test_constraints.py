@@ -146,6 +146,7 @@ def test_ok_and_converged_tell_how_far_the_optimum_is():
         mpc.solve(**given, iterations=iterations)
         error = np.abs(mpc.u_plan - oracle.solve(**given, u=mpc.u_plan).u).max()
         assert (mpc.ok, mpc.converged) == (error < 0.1, error < 1e-5)
+        assert mpc.ok == (mpc.status == "") and (mpc.ok or "iterations" in mpc.status)
         flags.append(mpc.ok + mpc.converged)
     assert flags == [0, 0, 1, 1, 2, 2]
 

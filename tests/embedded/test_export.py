@@ -177,16 +177,6 @@ def test_the_closest_point_equals_path_project():
 # How it is called
 
 
-def test_two_robots_are_independent(exported, robot, measured):
-    together = []
-    other = InC(exported("paper"), guess=[5, 5, 1, 0.3, 1, 1])
-    for z in measured[:30]:
-        together.append(robot.step(z)[1])
-        other.step(-z)
-    alone = InC(exported("paper"))
-    assert together == [alone.step(z)[1] for z in measured[:30]]
-
-
 def test_implausible_entries_of_the_guess_are_replaced(robot, measured):
     robot.begin([np.nan, np.inf, 1e300, -1e9, np.nan, 50])
     nonsense, _, _ = robot.step(measured[0])

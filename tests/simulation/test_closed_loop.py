@@ -4,10 +4,10 @@ import dataclasses
 from typing import get_args
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import SIMPLE_WORLD
 from oracles import flat
+from pandas.testing import assert_frame_equal
 
 import rhec
 from notebooks.rivals import RIVALS
@@ -30,10 +30,6 @@ def simulated(**changes):
     return rhec.simulate(dataclasses.replace(MINUTE, **changes))
 
 
-def assert_equal_logs(one, other, atol=0.0):
-    pd.testing.assert_frame_equal(one, other, rtol=0, atol=atol, check_exact=atol == 0)
-
-
 def test_all_patterns_of_turns_share_one_compiled_loop():
     patterns = [dataclasses.replace(MINUTE, turns=turns) for turns in get_args(Turns)]
     assert len({closed_loop.set_up(each).structure for each in patterns}) == 1
@@ -47,7 +43,7 @@ def test_a_longer_run_begins_like_a_shorter_one(run, duration_s):
     other = simulated(duration_s=duration_s)
     assert len(other.log) == round(duration_s / 0.2)
     rows = min(len(other.log), len(run.log))
-    assert_equal_logs(other.log[:rows], run.log[:rows])
+    assert_frame_equal(other.log[:rows], run.log[:rows], check_exact=True)
 
 
 def test_a_seed_changes_terrain_and_noise(run):
@@ -74,7 +70,8 @@ def test_the_noise_in_the_log_is_that_of_the_scenario(run):
     assert np.std(measured - position) == pytest.approx(0.03, rel=0.1)
     assert np.std(run.log["nu_meas_mps"] - 0.5) == pytest.approx(0.05, rel=0.1)
     told, heard = (simulated(estimator="oracle", speed_sigma_mps=s).log for s in (0.0, 0.05))
-    assert_equal_logs(told.drop(columns="nu_meas_mps"), heard.drop(columns="nu_meas_mps"))
+    told, heard = (log.drop(columns="nu_meas_mps") for log in (told, heard))
+    assert_frame_equal(told, heard, check_exact=True)
     quiet = simulated(**QUIET)
     np.testing.assert_array_equal(quiet.log["x_meas_m"], quiet.log["x_m"])
     np.testing.assert_allclose(quiet.log["nu_meas_mps"], 0.5, atol=1e-9)
