@@ -76,6 +76,7 @@ LOOPS |= {
     "yaw drift with a gyro": Loop(
         dict(
             yaw_drift=True,
+            start_yaw_rad=-1.0,  # so that the yaw rate is at both of its bounds
             process_noise="consistent",
             speed_model="input",
             sensors=("gyro",),
