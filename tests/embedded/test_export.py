@@ -458,17 +458,3 @@ def test_an_export_tells_of_an_own_estimator_and_path_what_they_compute(tmp_path
     for one, other in zip(ca.Function.deserialize(told["estimator"]["step"])(*given), own(*given)):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(told["path"]["segments"], path.segments)
-
-
-def test_an_earlier_export_is_replaced_and_other_files_stay(exported, tmp_path):
-    mine = tmp_path / "mine"
-    shutil.copytree(exported("paper"), mine)
-    (mine / "notes.txt").write_text("mine")
-    (mine / "rhec.h").write_text("broken")
-    with no_compiler():
-        other = rhec.Scenario(estimator="ekf", duration_s=2.0)
-        assert rhec.export(other, str(mine)) == mine
-    assert (mine / "notes.txt").read_text() == "mine"
-    assert (mine / "rhec.h").read_bytes() == (exported("paper") / "rhec.h").read_bytes()
-    assert '"ekf"' in (mine / "scenario.json").read_text()
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
