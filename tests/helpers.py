@@ -15,9 +15,6 @@ from robots import DT, N
 import rhec
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core._casadi.build import select_inputs
-from rhec.core.controller import rhc
-from rhec.core.estimator import rhe
 from rhec.tracked_robot.estimators import Choice
 
 # Without the copies that JupyterLab keeps of those that were opened in it.
@@ -67,43 +64,6 @@ def estimator(robot, guess, **changes):
 
 def controller(robot, **changes):
     return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
-
-
-def fused_sample(mhe, mpc):
-    """Estimator and controller of one sample as one Function: (memory, (z, x_ref, u_ref)) ->
-    (memory, ((x, u, p), command)).
-    """
-    estimate = rhe.build_phases(mhe.window)["step"]
-    command = rhc.build_phases(mpc.stages)["step"]
-    sizes = [estimate.numel_in("memory"), command.numel_in("memory")]
-    memory = ca.MX.sym("memory", sum(sizes))
-    shapes = [estimate.size_in("z_N"), command.size_in("x_ref"), command.size_in("u_ref")]
-    stream = ca.MX.sym("stream", sum(rows * columns for rows, columns in shapes))
-    ends = np.cumsum([0, *(rows * columns for rows, columns in shapes)])
-    z, x_ref, u_ref = (
-        ca.reshape(stream[begin:end], *shape) for begin, end, shape in zip(ends, ends[1:], shapes)
-    )
-    settings = {name: ca.MX(ca.DM(each)) for name, each in (mhe.settings | mpc.settings).items()}
-    first = estimate(memory=memory[: sizes[0]], z_N=z, **select_inputs(estimate, settings))
-    n_x, n_u = len(mhe.model.states), len(mhe.model.inputs)
-    s_0 = ca.vertcat(first["estimate"][:n_x], first["estimate"][n_x + n_u :])
-    then = command(
-        memory=memory[sizes[0] :],
-        s_0=s_0,
-        x_ref=x_ref,
-        u_ref=u_ref,
-        **select_inputs(command, settings),
-    )
-    return ca.Function(
-        "sample",
-        [memory, stream],
-        [
-            ca.vertcat(first["memory"], then["memory"]),
-            ca.vertcat(first["estimate"], then["command"]),
-        ],
-        ["memory_in", "stream"],
-        ["memory_out", "row"],
-    )
 
 
 # The paper's robot

@@ -5,12 +5,15 @@ one loop that differ in all else.
 import dataclasses
 
 import casadi as ca
+import pytest
 from helpers import no_compiler, own_controller
 
 import rhec
 from notebooks.rivals import RIVALS
 from rhec import paper
+from rhec.core._casadi import compiled
 from rhec.core.controller import rhc
+from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import NAMES
@@ -73,6 +76,7 @@ LOOPS |= {
     "yaw drift with a gyro": Loop(
         dict(
             yaw_drift=True,
+            start_yaw_rad=-1.0,  # so that the yaw rate is at both of its bounds
             process_noise="consistent",
             speed_model="input",
             sensors=("gyro",),
@@ -111,6 +115,13 @@ def unlike(scenario):
             rut_length_m=(0.0, 0.3, 3.0)[i % 3], gnss_slow_share=i / 8,
             faults=faults if scenario.faults else (),
         )  # fmt: skip
+
+
+def lanes_as_in_use(build, *structure):
+    """Lanes compiled with the flags that campaigns have, without those of the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "FLAGS", tuple(flag for flag in compiled.FLAGS if flag != "-O0"))
+        return lanes.load.__wrapped__(build, *structure)
 
 
 def live_step(scenario):

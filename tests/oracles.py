@@ -218,7 +218,26 @@ def mpc_instance(robot, rng, intervals=N):
     )
 
 
-# The linear robot: its Kalman filter
+# Linear robots: the Kalman filter
+
+
+def kalman(m, P, samples):
+    """Mean, covariance and -2 log likelihood, up to a constant, after each sample, by the textbook.
+
+    A sample (A, by, Q, H, sigma_v, z) is what leads to it, m = A m + by with the noise Q, and what
+    is measured there, NaN where it is missing. Nothing leads to the first one.
+    """
+    for k, (A, by, Q, H, sigma_v, z) in enumerate(samples):
+        if k:
+            m = A @ m + by
+            P = A @ P @ A.T + Q
+        seen = ~np.isnan(z)
+        H = H[seen]
+        S = H @ P @ H.T + np.diag(np.square(sigma_v)[seen])
+        K = P @ H.T @ np.linalg.inv(S)
+        off = np.array(z)[seen] - H @ m
+        m, P = m + K @ off, P - K @ H @ P
+        yield m, P, off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1]
 
 
 def cart_matrices(dt=DT):
@@ -233,22 +252,16 @@ def kalman_filter(z, guess, sigma_guess, sigma_v, sigma_w, leaving, dt=DT):
     newest position, up to a constant.
 
     The measured input drives the prediction, and its noise passes through B. Process noise enters
-    in the first `leaving` intervals only: those that have left the window. Its sigma_w is (3,), or
-    (n, 3) with a row for the interval that ends with each sample.
+    in the first `leaving` intervals only: those that have left the window.
     """
-    sigma_w = np.broadcast_to(sigma_w, (len(z), 3))
     (A, B), H = cart_matrices(dt), np.array([[1.0, 0, 0, 0]])
-    m, P = np.append(guess, 0.0), np.diag([*np.square(sigma_guess), 0.0])  # with the input last
-    for i, (position, acceleration) in enumerate(z):
-        if i:
-            W = np.diag([*np.square(sigma_w[i]), 0.0]) * (i <= leaving)
-            F, G = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]]), np.vstack([B, [[1.0]]])
-            m = F @ m + G[:, 0] * acceleration
-            P = F @ P @ F.T + G @ G.T * sigma_v[1] ** 2 + W
-        deviance = 0.0
-        if not np.isnan(position):
-            S = H @ P @ H.T + sigma_v[0] ** 2
-            K = P @ H.T / S
-            deviance = (position - m[0]) ** 2 / S.item() + np.log(S.item())
-            m, P = m + K[:, 0] * (position - m[0]), P - K @ H @ P
+    # With the input as the last state.
+    F, G = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]]), np.vstack([B, [[1.0]]])
+    Q, W = G @ G.T * sigma_v[1] ** 2, np.diag([*np.square(sigma_w), 0.0])
+    samples = [
+        (F, G[:, 0] * acceleration, Q + W * (i <= leaving), H, sigma_v[:1], [position])
+        for i, (position, acceleration) in enumerate(z)
+    ]
+    first = np.append(guess, 0.0), np.diag([*np.square(sigma_guess), 0.0])
+    *_, (m, P, deviance) = kalman(*first, samples)
     return m[:3], P[:3, :3], m[3], deviance

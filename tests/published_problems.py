@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from oracles import kalman
 
 from notebooks.studies.ipopt import PlanProblem, WindowProblem, next_state
 from rhec.core.controller.bounds import Bound
@@ -250,15 +251,7 @@ def kalman_filter(problem, z):
     A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
     B = step([0, 0], 1, []).full().ravel()
     sigma_z, sigma_u = problem.options["sigma_v"]
-    x = np.array(problem.options["guess"])
+    Q, H = sigma_u**2 * np.outer(B, B), np.eye(2)[:1]
+    samples = [(A, B * force, Q, H, [sigma_z], [position]) for position, force in z]
     P = np.diag(problem.options["sigma_guess"]) ** 2
-    rows = []
-    for k, (position, force) in enumerate(z):
-        if k:
-            x = A @ x + B * force
-            P = A @ P @ A.T + sigma_u**2 * np.outer(B, B)
-        gain = P[:, 0] / (P[0, 0] + sigma_z**2)
-        x = x + gain * (position - x[0])
-        P = P - np.outer(gain, P[0])
-        rows.append(x)
-    return np.array(rows)
+    return np.array([m for m, *_ in kalman(problem.options["guess"], P, samples)])

@@ -52,11 +52,6 @@ class Robot:
         return dict(sigma_v=self.sigma_v, sigma_w=self.sigma_w, sigma_guess=self.sigma_guess)
 
     @property
-    def estimator_sigmas(self):
-        """(sigma_guess, sigma_v, sigma_w), as `oracles.kalman_filter` takes them."""
-        return self.sigma_guess, self.sigma_v, self.sigma_w
-
-    @property
     def controller(self):
         """The arguments of `rhec.RHC` that say what it weighs and what it may command."""
         return dict(

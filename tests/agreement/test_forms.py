@@ -6,14 +6,13 @@ live objects. Lanes have the same bits; the other forms differ by rounding.
 
 import dataclasses
 import functools
-import itertools
 
 import numpy as np
 import pytest
-from helpers import controller, estimator, fused_sample, no_compiler
+from helpers import controller, estimator, no_compiler
 from in_c import InC
-from loops import LOOPS, SMALL, live_step, unlike
-from oracles import flat, mhe_instance, mpc_instance
+from loops import LOOPS, SMALL, lanes_as_in_use, live_step, unlike
+from oracles import mhe_instance, mpc_instance
 from robots import ROBOTS, VARIANTS
 
 import rhec
@@ -21,10 +20,6 @@ from notebooks.claims.live_robot import LiveRobot
 from notebooks.studies import toolchain
 from rhec.core import runner
 from rhec.core._casadi import compiled
-from rhec.core._casadi.packing import pack_array
-from rhec.core.controller import rhc
-from rhec.core.estimator import rhe
-from rhec.core.estimator.estimate import joint_guess
 from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COMMAND, ESTIMATE, MEASUREMENTS, POSE, SENSORS
@@ -101,14 +96,7 @@ def in_c(scenario, run, folder, machine=toolchain.this_machine):
 
 
 def as_in_use(scenario, run, folder):
-    """Lanes compiled with the flags that campaigns have, without those of the tests."""
-
-    def load(build, *structure):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(compiled, "FLAGS", [flag for flag in compiled.FLAGS if flag != "-O0"])
-            return lanes.load.__wrapped__(build, *structure)
-
-    in_lanes(scenario, run, folder, load)
+    in_lanes(scenario, run, folder, lanes_as_in_use)
 
 
 def on_arm(scenario, run, folder):
@@ -179,7 +167,8 @@ def test_a_loop_of_the_papers_robot_is_the_same_in_every_form(name, form, tmp_pa
     form(*fused(name), tmp_path)
 
 
-# Any robot: an RHE and an RHC of each Model of `robots`
+# Any robot: an RHE and an RHC of each Model of `robots`. Beside the objects exported C alone has
+# both: no loop of the simulated robot is made of a Model, and a replay scans the estimator alone.
 
 EVERY_ROBOT = ROBOTS | VARIANTS
 HORIZON = 3
@@ -187,112 +176,40 @@ SAMPLES = 40
 OUTLIER = 25  # the sample that is 1 km off
 
 
-def objects(robot, guess):
-    return estimator(robot, guess, horizon=HORIZON), controller(robot, horizon=HORIZON)
-
-
-def problem_of(robot, seed, samples=SAMPLES):
+def problem_of(robot):
     """A guess, measurements with gaps and one outlier, and references that keep bounds active."""
-    rng = np.random.default_rng(seed)
-    guess, z = mhe_instance(robot, rng, samples, missing=0.1)
-    z[OUTLIER : OUTLIER + 1] += 1000.0
-    wanted = [mpc_instance(robot, rng, HORIZON) for _ in range(samples)]
-    return guess, z[:samples], [(each["x_ref"], each["u_ref"]) for each in wanted]
+    rng = np.random.default_rng(0)
+    guess, z = mhe_instance(robot, rng, SAMPLES, missing=0.1)
+    z[OUTLIER] += 1000.0
+    wanted = [mpc_instance(robot, rng, HORIZON) for _ in range(SAMPLES)]
+    return guess, z[:SAMPLES], [(each["x_ref"], each["u_ref"]) for each in wanted]
 
 
-def by_live_objects(mhe, mpc, z, references):
-    """Rows (estimate, command), and whether each estimate was solved."""
-    rows = []
-    solved = []
-    for row, (x_ref, u_ref) in zip(z, references):
+@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "bicycle" else pytest.mark.nightly)
+        for name in EVERY_ROBOT
+    ],
+)
+def test_a_loop_of_any_robot_is_the_same_in_exported_c(name, tmp_path):
+    """Whether it was prepared in time or not."""
+    robot = EVERY_ROBOT[name]
+    guess, z, references = problem_of(robot)
+    with no_compiler():
+        mhe, mpc = estimator(robot, guess, horizon=HORIZON), controller(robot, horizon=HORIZON)
+        c = InC(rhec.export((mhe, mpc), tmp_path / "rhec"))
+    n_x, n_p, n_e = len(mhe.model.states), len(mhe.model.parameters), len(mhe.model.names)
+    for k, (row, wanted) in enumerate(zip(z, references)):
         mhe.prepare()
         mpc.prepare()
         estimate = mhe.feedback(row)
-        u = mpc.feedback(estimate.x, estimate.p, x_ref, u_ref)
-        rows.append(np.concatenate([estimate.x, estimate.u, estimate.p, u]))
-        solved.append(mhe.ok)
-    return np.array(rows), np.array(solved)
-
-
-@functools.cache
-def scanned(name):
-    """The objects whose step a robot's scan has; its structure is the robot's name."""
-    return objects(EVERY_ROBOT[name], problem_of(EVERY_ROBOT[name], 0)[0])
-
-
-def build_scan(name):
-    return runner.build(fused_sample(*scanned(name)))
-
-
-def memory_and_stream(name, guess, z, references):
-    """What the scan of a robot's fused step begins with, and its rows of input."""
-    (mhe, mpc), n_x = scanned(name), len(EVERY_ROBOT[name].states)
-    start = rhe.init(mhe.window, *joint_guess(mhe.model, guess, EVERY_ROBOT[name].sigma_guess))
-    plan = rhc.init(mpc.stages, guess[:n_x], guess[n_x:])
-    stream = [[*row, *flat(x_ref), *flat(u_ref)] for row, (x_ref, u_ref) in zip(z, references)]
-    return np.concatenate([pack_array(start), pack_array(plan)]), np.array(stream)
-
-
-def fused_model(name, folder):
-    """The fused step, scanned over a log, is the live objects."""
-    guess, z, references = problem_of(EVERY_ROBOT[name], 0)
-    with no_compiler():
-        mhe, mpc = objects(EVERY_ROBOT[name], guess)
-        # The fused step has no first sample of its own, for which the live object iterates.
-        mpc.iteration.improve_first = lambda iterations: None
-        n_x = len(EVERY_ROBOT[name].states)
-        mpc.iteration.start(rhc.init(mpc.stages, guess[:n_x], guess[n_x:]))
-        expected, _ = by_live_objects(mhe, mpc, z, references)
-        rows = runner.run_one(build_scan(name), *memory_and_stream(name, guess, z, references), {})
-    compared(rows, expected)
-
-
-def model_in_lanes(name, folder):
-    """Runs of unlike length, and more than there are lanes, have the bits of single ones."""
-    if lanes.cpp_compiler() is None:
-        pytest.skip("there is no C++ compiler")
-    runs = []
-    for seed, samples in enumerate((48, 50, 7, 120, 48, 1, 60, 60, 33)):
-        guess, z, references = problem_of(EVERY_ROBOT[name], seed, samples)
-        runs.append(memory_and_stream(name, guess, z * (1e12 if seed == 3 else 1.0), references))
-    functions, block = compiled.load(build_scan, name), lanes.load(build_scan, name)
-    at_once = runner.run(block, *zip(*runs), [{}] * len(runs))
-    for rows, alone in zip(at_once, runs):
-        np.testing.assert_array_equal(rows, runner.run_one(functions, *alone, {}))
-
-
-def model_in_c(name, folder):
-    """The exported C, whether it was prepared in time or not."""
-    if not compiled.compiler():
-        pytest.skip("there is no C compiler")
-    guess, z, references = problem_of(EVERY_ROBOT[name], 0)
-    with no_compiler():
-        mhe, mpc = objects(EVERY_ROBOT[name], guess)
-        c = InC(rhec.export((mhe, mpc), folder / "rhec"))
-    expected, solved = by_live_objects(mhe, mpc, z, references)
-    n_x, n_p = len(mhe.model.states), len(mhe.model.parameters)
-    n_e = len(mhe.model.names)
-    for k, (row, wanted) in enumerate(zip(z, references)):
+        u = mpc.feedback(estimate.x, estimate.p, *wanted)
         if k % 3:
             c.prepare()
         known, status = c.call("estimate", row, length=n_e)
-        x, p = known[:n_x], known[n_e - n_p :]
-        command, _ = c.call("control", x, p, *wanted, length=expected.shape[1] - n_e)
-        compared([*known, *command], expected[k])
-        assert solved[k] == (status == 0)
-    assert not solved[OUTLIER]
-
-
-MODEL_FORMS = (fused_model, model_in_lanes, model_in_c)
-
-
-def models_and_forms():
-    """Of the bicycle always."""
-    for name, form in itertools.product(EVERY_ROBOT, MODEL_FORMS):
-        marks = () if name == "bicycle" else pytest.mark.nightly
-        yield pytest.param(name, form, marks=marks, id=f"{name}, {form.__name__}")
-
-
-@pytest.mark.parametrize(("name", "form"), [*models_and_forms()])
-def test_a_loop_of_any_robot_is_the_same_in_every_form(name, form, tmp_path):
-    form(name, tmp_path)
+        command, _ = c.call("control", known[:n_x], known[n_e - n_p :], *wanted, length=len(u))
+        compared([*known, *command], [*np.concatenate(estimate[:3]), *u])
+        assert mhe.ok == (status == 0)
+        assert k != OUTLIER or not mhe.ok

@@ -288,3 +288,19 @@ def test_a_value_that_is_no_number_does_no_lasting_harm():
         for _ in range(30):
             after = mpc.step(**problem)
         np.testing.assert_allclose(after, expected, atol=1e-6)
+
+
+def test_ok_of_a_solve_tells_how_far_the_optimum_is():
+    """From a heading that is wrong by 2 rad, after each of six iterations."""
+    guess, z = mhe_instance(BICYCLE, np.random.default_rng(3), 3)
+    guess[2] += 2.0
+    optimum = mhe_by_ipopt(BICYCLE, guess, z)["x"]
+    mhe = estimator(BICYCLE, guess, outliers=False)
+    estimates(mhe, z[:-1])
+    mhe.prepare()
+    solved = []
+    for _ in range(6):
+        error = np.abs(mhe.solve(z[-1], iterations=1).x - optimum).max()
+        solved.append(mhe.ok)
+        assert mhe.ok == (error < 0.01) == (mhe.status == "")
+    assert solved == [False] * 3 + [True] * 3

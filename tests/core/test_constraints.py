@@ -130,6 +130,8 @@ def test_the_first_feedback_is_iterated_and_solve_tells_whether_it_converged():
     iterated.solve(**given, iterations=100)
     assert iterated.converged and live.ok
     np.testing.assert_allclose(live.u_plan, iterated.u_plan, rtol=0, atol=1e-6)
+    iterated.step(**given)
+    assert iterated.ok and not iterated.converged  # of a single step that is not known
 
 
 def test_ok_and_converged_tell_how_far_the_optimum_is():
@@ -144,6 +146,7 @@ def test_ok_and_converged_tell_how_far_the_optimum_is():
         mpc.solve(**given, iterations=iterations)
         error = np.abs(mpc.u_plan - oracle.solve(**given, u=mpc.u_plan).u).max()
         assert (mpc.ok, mpc.converged) == (error < 0.1, error < 1e-5)
+        assert mpc.ok == (mpc.status == "") and (mpc.ok or "iterations" in mpc.status)
         flags.append(mpc.ok + mpc.converged)
     assert flags == [0, 0, 1, 1, 2, 2]
 

@@ -297,6 +297,8 @@ def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     live.step(z[41] + (0.0, 0.0, np.nan, 0.0))
     assert live.accepted.tolist() == [True, True, False, True]
     assert live.rejected == pytest.approx(29 / 30**2)
+    live.step((np.nan, np.nan, *z[42, 2:]))  # there was nothing to judge
+    assert live.rejected == pytest.approx(29 / 30**2)
     live.restart()
     assert not live.accepted.any() and live.rejected == 0
 

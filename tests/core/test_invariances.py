@@ -4,12 +4,11 @@ They do not depend on where, how turned and in which units a robot is, nor on wh
 Each row of the table is a robot, a run and a change. `make test` has each run of the live objects
 with most changes once (QUICK says which), `make nightly` all rows. That exported C computes the
 same, `tests/agreement` shows. A closed loop with its world is in
-`tests/simulation/test_both_sides`. That lanes have the bits of a single run `tests/agreement` tests
-of the loops of campaigns, and of any robot's RHE with an RHC that bounds commands alone. No
-campaign runs the EKF, or other bounds, of a Model.
+`tests/simulation/test_both_sides`.
 """
 
 import functools
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -339,12 +338,12 @@ def test_estimates_and_commands_follow(row):
     assert largest_difference(first, run, world_of(robot), changes[change](robot)) < 1e-6
 
 
-def plans(world):
+def plans(world, in_lane):
     """The commands that a plan has after few and many iterations."""
     robot = world["robot"]
     quantities = dict(x=robot.states, p=robot.parameters, x_ref=robot.states, u_ref=robot.inputs)
     given = {key: told(world, key, names) for key, names in quantities.items()}
-    mpc = controller(world, in_lane=False)
+    mpc = controller(world, in_lane)
     found = []
     for iterations in (1, 2, 4, 8):
         mpc.restart()
@@ -353,12 +352,25 @@ def plans(world):
     return by_name(robot.inputs, np.concatenate(found))
 
 
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("robot", ["bicycle", "cart-pole", "tracks", "crawler", "unicycle", "cart"])
-def test_each_iteration_goes_as_far_whatever_the_units_of_states_are(robot):
+UNITS_OF_THEIR_OWN = "each in a unit of its own"
+QUICK |= {("cart-pole", True, change) for change in (UNITS_OF_THEIR_OWN, "mirrored")}
+QUICK |= {("bicycle", False, UNITS_OF_THEIR_OWN)}
+
+
+def steps():
+    """From afar rounding decides how the bicycle comes into its lane."""
+    changes = UNITS_OF_THEIR_OWN, "mirrored", "cost times 1e-6"
+    for row in itertools.product(ROBOTS, (True, False), changes):
+        if row[:2] != ("bicycle", True):
+            yield pytest.param(*row, marks=() if row in QUICK else pytest.mark.nightly)
+
+
+@pytest.mark.parametrize("robot, in_lane, change", [*steps()])
+def test_each_iteration_goes_as_far_whatever_the_units_and_sides_are(robot, in_lane, change):
     """From far away, where steps are shortened, so that what is missing between nodes counts."""
     robot, rng = ROBOTS[robot], np.random.default_rng(7)
     far = {name: x + 4 * rng.normal() for name, x in world_of(robot)["x"].items()}
     world = world_of(robot) | dict(x=far)
-    change = TOLD["each in a unit of its own"](robot)
-    assert largest_difference(plans(world), plans, world, change) < 1e-6
+    change = RUNS["RHC"][1][change](robot)
+    run = functools.partial(plans, in_lane=in_lane)
+    assert largest_difference(run(world), run, world, change) < 1e-6

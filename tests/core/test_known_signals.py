@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import assert_refused
 from in_c import InC
+from oracles import kalman
 
 import rhec
 
@@ -74,40 +75,37 @@ def drive(rng, n):
     return z, known
 
 
-def kalman(z, known):
+def expected(z, known, sigma_w):
     """Means and covariances by the textbook's filter: a force holds until the next sample."""
-    m, P = np.array(GUESS), np.diag(np.square(SIGMA_GUESS))
-    found = []
+    samples = []
     for k, (row, (_, direction)) in enumerate(zip(z, known)):
-        if k:
-            m = A @ m + PUSH * known[k - 1, 0]
-            P = A @ P @ A.T + np.diag(np.square(SIGMA_W))
-        H = np.array([[np.cos(direction), 0, np.sin(direction)], [0, 1, 0]])[~np.isnan(row)]
-        V = np.diag(np.square(SIGMA_V)[~np.isnan(row)])
-        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + V)
-        m, P = m + K @ (row[~np.isnan(row)] - H @ m), P - K @ H @ P
-        found.append((m, P))
-    return found
+        H = np.array([[np.cos(direction), 0, np.sin(direction)], [0, 1, 0]])
+        by = PUSH * known[k - 1, 0]
+        samples.append((A, by, np.diag(np.square(sigma_w[k])), H, SIGMA_V, row))
+    return kalman(np.array(GUESS), np.diag(np.square(SIGMA_GUESS)), samples)
 
 
 def by_name(row):
     return dict(zip(("push", "direction"), row))
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: rhec.EKF(model=cart(), dt=DT, **NOISE),
-        lambda: rhec.RHE(model=cart(), dt=DT, horizon=2, noise_in_window=True, **NOISE),
-        lambda: rhec.RHE(model=cart(), dt=DT, horizon=7, noise_in_window=True, **NOISE),
-    ],
-)
-def test_on_a_linear_robot_it_is_the_kalman_filter(make):
-    """At every sample, so that a window has kept the signals of each of its samples."""
-    z, known = drive(np.random.default_rng(0), 40)
-    made = make()
-    for row, signals, (m, P) in zip(z, known, kalman(z, known)):
-        found = made.step(row, known=by_name(signals))
+@pytest.mark.parametrize("horizon", [None, 2, 7])
+def test_on_a_linear_robot_it_is_the_kalman_filter(horizon):
+    """At every sample, so that a window has kept the signals and the noise of each of its samples.
+
+    The noise of an RHE changes by sample; of some states and samples there is none.
+    """
+    rng = np.random.default_rng(0)
+    z, known = drive(rng, 40)
+    made = rhec.EKF(model=cart(), dt=DT, **NOISE)
+    sigma_w = np.tile(SIGMA_W, (len(z), 1))
+    if horizon:
+        made = rhec.RHE(model=cart(), dt=DT, horizon=horizon, noise_in_window=True, **NOISE)
+        sigma_w *= rng.uniform(0.3, 3, sigma_w.shape) * (rng.random(sigma_w.shape) < 0.8)
+        sigma_w[20:25] = 0
+    for row, signals, noise, (m, P, _) in zip(z, known, sigma_w, expected(z, known, sigma_w)):
+        changed = dict(sigma_w=noise) if horizon else {}
+        found = made.step(row, known=by_name(signals), **changed)
         np.testing.assert_allclose([*found.x, *found.p], m, rtol=0, atol=1e-9)
         np.testing.assert_allclose(found.covariance, P, rtol=0, atol=1e-9)
     assert made.ok

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from oracles import kalman
 
 import rhec
 from rhec.core._casadi import compiled
@@ -30,25 +31,6 @@ def masses(n, cubic=0.1, damping=0.1, **options):
     return rhec.Model(states=places + speeds, inputs=inputs, outputs=outputs, f=f, **options)
 
 
-def kalman_filter(A, B, z, sigma, sigma_w, sigma_v):
-    """Means of a Kalman filter from 0 ± sigma, whose last two measurements drive its prediction."""
-    n = len(A)
-    R = np.diag(np.square(sigma_v[-2:]))
-    m = np.zeros(n)
-    P = sigma**2 * np.eye(n)
-    for k, row in enumerate(z):
-        if k:
-            m = A @ m + B @ row[-2:]
-            P = A @ P @ A.T + B @ R @ B.T + sigma_w**2 * np.eye(n)
-        found = np.flatnonzero(np.isfinite(row[:-2]))
-        H = np.eye(n)[found]
-        S = H @ P @ H.T + np.diag(np.square(sigma_v[found]))
-        K = P @ H.T @ np.linalg.inv(S)
-        m = m + K @ (row[found] - m[found])
-        P = P - K @ H @ P
-        yield m, P
-
-
 def test_of_a_linear_chain_it_is_the_kalman_filter():
     """At every sample, a third of the places missing, compiled."""
     n = 11
@@ -63,7 +45,9 @@ def test_of_a_linear_chain_it_is_the_kalman_filter():
     rng = np.random.default_rng(n)
     z = rng.normal(0, 0.3, (12, n + 2))
     z[:, :n][rng.random((12, n)) < 1 / 3] = np.nan
-    for row, (m, P) in zip(z, kalman_filter(A, B, z, 0.3, 0.01, sigma_v)):
+    Q = B @ np.diag(np.square(sigma_v[n:])) @ B.T + 0.01**2 * np.eye(2 * n)
+    samples = [(A, B @ row[n:], Q, unit[:n], sigma_v[:n], row[:n]) for row in z]
+    for row, (m, P, _) in zip(z, kalman(np.zeros(2 * n), 0.3**2 * unit, samples)):
         found = rhe.step(row)
         assert rhe.ok
         np.testing.assert_allclose(found.x, m, rtol=0, atol=1e-9)

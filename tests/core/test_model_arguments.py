@@ -1,5 +1,6 @@
 """What a Model may leave out, and what is then the default."""
 
+import dataclasses
 import math
 
 import casadi as ca
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 import rhec
-from rhec.core.model.robot_model import interval
+from rhec.core.model.robot_model import MotionNoise, interval
 
 
 def model_with(**changed):
@@ -26,6 +27,45 @@ def test_names_may_be_lists_or_a_single_name():
     lists = rhec.Model(states=["x", "v"], inputs=["force"], outputs=["x"], f=f)
     words = rhec.Model(states=("x", "v"), inputs="force", outputs="x", f=f)
     assert lists == words and words.inputs == ("force",) and words.parameters == {}
+
+
+NAMED = dict(
+    states=("x_m", "v_mps"),
+    inputs="force",
+    parameters=dict(mass=(0.1, 1.0)),
+    outputs=("x_m", "tip"),
+    known="wind",
+    f=lambda x, u, p, d: [x[1], u[0] / p[0] + d[0]],
+    h=lambda x, u, p, d: [2 * x[0]],
+)
+NOISE = MotionNoise({}, lambda u, R, c: (u, R), lambda u, W, dt_s, c: 2 * W * dt_s)
+CHANGED = dict(
+    states=("x_m", "w_mps"),
+    inputs="push",
+    parameters=dict(mass=(0.1, 2.0)),
+    outputs=("v_mps", "tip"),
+    known="gust",
+    f=lambda x, u, p, d: [x[1], u[0] / p[0] - d[0]],
+    h=lambda x, u, p, d: [3 * x[0]],
+    max_measurement=(1e3, 1e3),
+    angles="tip",
+    heading="x_m",
+    sigma_held=dict(force=2.0),
+    motion_noise=NOISE,
+    steps=2,
+    rule="radau3",
+    discrete=True,
+    state_bounds=dict(x_m=(-1.0, 1.0)),
+)
+
+
+def test_each_argument_tells_a_model_from_others():
+    """What is compiled for one is never taken for another."""
+    assert {*CHANGED} == {field.name for field in dataclasses.fields(rhec.Model)}
+    changes = [{}, dict(parameters=dict(load=(0.1, 1.0)))]
+    changes += [{name: value} for name, value in CHANGED.items()]
+    assert len({rhec.Model(**NAMED | change) for change in changes}) == len(changes)
+    assert rhec.Model(**NAMED) == rhec.Model(**NAMED)
 
 
 def test_a_model_that_only_a_controller_sees_needs_no_outputs(virtual_machine):

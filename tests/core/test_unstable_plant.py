@@ -74,67 +74,6 @@ def test_a_loop_stays_within_a_hard_bound(hard, seed):
 
 @pytest.mark.nightly(keep=2)
 @pytest.mark.parametrize("seed", range(8))
-def test_a_mirrored_start_leads_along_the_mirrored_way(hard, seed):
-    """Long before the iterations end, while the merit shortens their steps."""
-    for iterations in (4, 12):
-        mirrored = -plan(hard, -start(seed), iterations)
-        np.testing.assert_allclose(mirrored, plan(hard, start(seed), iterations), atol=1e-9)
-
-
-UNITS = {
-    "a unit of its own each": (1e-2, 1e3, 1e4, 1e5),
-    "mm": (1e3, 1, 1, 1),
-    "degrees": (1, 180 / np.pi, 1, 1),
-    "kN": (1, 1, 1e-3, 1),
-    "small cost": (1, 1, 1, 1e-6),
-}
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("units", UNITS)
-def test_other_units_of_states_inputs_and_cost_change_no_iteration(hard, units):
-    """After few and many iterations, to 1e-6 of how far each quantity goes."""
-    length, angle, force, cost = UNITS[units]
-    told = in_units(length, angle, force, cost)
-    of_states = np.array([length, length, angle, angle])
-    for seed in range(2):
-        for iterations in (1, 3, 6, 12):
-            x = start(seed)
-            first = plan(hard, x, iterations)
-            other = plan(told, x * of_states, iterations) / of_states[:, None]
-            assert_same(other, first)
-            assert_same(told.u_plan / force, hard.u_plan)
-
-
-def in_units(length, angle, force, cost):
-    """The controller of a plant of which a metre, a radian and a newton have so many new units."""
-    units = np.array([length, length, angle, angle])
-
-    def f(x, u, p):
-        rates = _f([x[i] / units[i] for i in range(4)], [u[0] / force], p)
-        return [rates[i] * units[i] for i in range(4)]
-
-    model = rhec.Model(states=MODEL.states, inputs=MODEL.inputs, f=f)
-    weights = dict(q=tuple(cost * Q / units**2), r=(cost * R / force**2,))
-    bounds = {"force": (-12.0 * force, 12.0 * force), "pos": (-RAIL * length, RAIL * length)}
-    return rhec.RHC(model=model, dt=DT, horizon=N, bounds=bounds, **weights)
-
-
-def assert_same(other, first):
-    """To 1e-6 of the range of each row."""
-    most = 1e-6 * np.ptp(first, axis=1, keepdims=True) + 1e-12
-    assert np.all(np.abs(other - first) <= most)
-
-
-def plan(rhc, x, iterations):
-    """The states (4, N + 1) that are planned from x after so many iterations."""
-    rhc.restart()
-    rhc.solve(x=x, x_ref=GOAL, iterations=iterations)
-    return rhc.x_plan
-
-
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("seed", range(8))
 def test_no_iteration_is_worse_by_cost_and_bound_and_dynamics(hard, seed):
     """With any prices of the last two, such an iteration would raise the merit."""
     x = start(seed)

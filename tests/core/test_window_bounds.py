@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import estimator
-from oracles import draw, drive_robot, limits, robots_model, window_by_ipopt
+from oracles import draw, drive_robot, limits, mhe_instance, robots_model, window_by_ipopt
 from robots import BICYCLE, CART, DT, SKID_STEERED, UNICYCLE
 
 import rhec
@@ -64,7 +64,10 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, narro
         for part in ("x", "u", "p"):
             np.testing.assert_allclose(getattr(found, part), optimum[part], rtol=0, atol=1e-6)
         np.testing.assert_allclose(mhe.x_window, optimum["states"], rtol=0, atol=1e-6)
+        np.testing.assert_array_equal(mhe.u_window[:, -1], found.u)
         active += np.abs(optimum["states"][0] - WALL_M).min() < 1e-7
+        mhe.step(z[-1])
+        assert not mhe.converged
     assert active >= 2 if narrow else active == 0
 
 
@@ -149,3 +152,13 @@ def test_mehrez_range_bearing_robot_keeps_its_heading():
             mhe.prepare()
             errors.append(mhe.feedback(row).x[2] - true[2])
         assert np.sqrt(np.mean(np.square(errors[6:]))) <= 0.35
+
+
+def test_without_an_argument_the_noise_is_that_which_it_was_made_with():
+    """Also after a sample that had another."""
+    guess, z = mhe_instance(BICYCLE, np.random.default_rng(2), 19)
+    first, second = (estimator(BICYCLE, guess, horizon=5, noise_in_window=True) for _ in range(2))
+    for k, row in enumerate(z):
+        others = np.array(BICYCLE.sigma_w) * (7 if k == 8 else 1)
+        one = first.step(row, sigma_w=others if k == 8 else None)
+        np.testing.assert_array_equal(one.x, second.step(row, sigma_w=others).x)

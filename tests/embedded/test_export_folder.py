@@ -19,7 +19,7 @@ def texts(monkeypatch):
     return texts
 
 
-def test_nothing_is_written_outside_the_folder(tmp_path, texts, monkeypatch):
+def test_nothing_is_written_but_an_earlier_export(tmp_path, texts, monkeypatch):
     """The folder may be the root of another file system, and its parent not writable."""
     folder = tmp_path / "mounted"
     folder.mkdir()
@@ -31,8 +31,12 @@ def test_nothing_is_written_outside_the_folder(tmp_path, texts, monkeypatch):
         replace(source, target)
 
     monkeypatch.setattr(os, "replace", replace_within)
-    embedded.export(None, folder)
+    for text in ("code", "newer"):
+        texts["rhec.c"] = text
+        assert embedded.export(None, str(folder)) == folder
+        assert (folder / "rhec.c").read_text() == text
     assert {file.name for file in folder.iterdir()} == {*texts, "lost+found"}
+    assert [*tmp_path.iterdir()] == [folder]
 
 
 def test_an_interrupted_export_can_be_repeated(tmp_path, texts):

@@ -158,7 +158,7 @@ def test_operations_are_counted_through_calls_branches_and_loops():
 
 
 def test_an_estimator_alone_has_no_controller(tmp_path):
-    scenario = rhec.Scenario(duration_s=10, estimation_horizon=5)
+    scenario = rhec.Scenario(duration_s=10, estimator="ekf")
     folder = rhec.export(scenario, tmp_path / "C", estimator_only=True)
     example = pd.read_csv(folder / "log.csv")
     assert len(example) == 50

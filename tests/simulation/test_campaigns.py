@@ -100,11 +100,12 @@ def test_a_campaign_has_the_rows_of_simulate_in_order_and_equal_scenarios_run_on
     table = rhec.campaign(scenarios)
     assert len(ran) == 4 and {*ran} == {*scenarios}
     assert (table["error"] == "").all() and len(table) == len(scenarios)
-    for scenario, (_, row) in zip(scenarios, table.iterrows()):
-        metrics = rhec.simulate(scenario).metrics
-        assert {key: row[key] for key in metrics} == pytest.approx(metrics, nan_ok=True)
+    runs = rhec.simulate(iter(scenarios))
+    assert [run.scenario for run in runs] == scenarios and rhec.simulate([]) == []
+    for run, (_, row) in zip(runs, table.iterrows()):
+        np.testing.assert_equal({name: row[name] for name in run.metrics}, {**run.metrics})
         varied = dict(seed=row["seed"], estimator=row["estimator"])
-        assert table.attrs | varied == dataclasses.asdict(scenario)
+        assert table.attrs | varied == dataclasses.asdict(run.scenario)
 
 
 def test_what_varied_and_the_metrics_are_columns_and_constants_are_attributes():
@@ -206,25 +207,35 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch, one_by_one):
             table = rhec.campaign(short(8), tmp_path)
             break
         except KeyboardInterrupt as interrupt:
-            assert "of 8 runs; the same call continues from there" in str(interrupt)
+            kept = len(load_rows(store.open_folder(tmp_path)))
+            said = f"interrupted after {kept} of 8 runs; the same call continues from there"
+            assert str(interrupt) == said
     monkeypatch.undo()
     assert interruptions >= 2 and len([scenario for scenario in runs if scenario]) == 8
     assert_equal_rows(table, rhec.campaign(short(8)))
 
 
 def test_rows_are_kept_by_all_that_changes_bits(tmp_path, ran, monkeypatch):
-    here = store.provenance()
-    with monkeypatch.context() as patch:
-        patch.setattr(store.platform, "libc_ver", lambda: ("glibc", "0.1"))
-        assert store.provenance() != here
-    (tmp_path / "processor").write_text("flags\t\t: fpu avx2\n")
-    with monkeypatch.context() as patch:
-        patch.setattr(compiled, "PROCESSOR", tmp_path / "processor")
-        assert store.provenance() != here
-    with monkeypatch.context() as patch:
-        patch.setattr(compiled, "source_digest", lambda: "of other source")
-        store._installed.cache_clear()
-        assert store.provenance() != here
+    here, real = store.provenance(), compiled.compiler()
+    processor = tmp_path / "processor"
+    processor.write_text("flags\t\t: fpu avx2\n")
+    version = store.importlib.metadata.version
+    others = [
+        (store.platform, "libc_ver", lambda: ("glibc", "0.1")),
+        (store.platform, "machine", lambda: "another"),
+        (compiled, "PROCESSOR", processor),
+        (compiled, "compiler", lambda: None if real else "cc"),
+        (compiled, "source_digest", lambda: "of other source"),
+        (store.terrain, "STANDARD_FIELDS", processor),
+    ]
+    for library in ("casadi", "numpy", "scipy"):
+        newer = lambda name, library=library: version(name) + "1" * (name == library)  # noqa: E731
+        others.append((store.importlib.metadata, "version", newer))
+    for place, name, other in others:
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, other)
+            store._installed.cache_clear()
+            assert store.provenance() != here, name
     store._installed.cache_clear()
     assert store.provenance() == here
     folder = tmp_path / "rows"
@@ -378,8 +389,10 @@ def test_runs_that_share_fields_and_noise_are_neighbours():
 # Workers of its own
 
 
-def test_it_is_the_same_on_any_number_of_workers_and_without():
-    """Readings of the runs, too; also where workers died while they were idle."""
+def test_it_is_the_same_on_any_workers_and_without(tmp_path, processes):
+    """Readings of the runs, too; also where workers died while they were idle. Executors are those
+    of the caller: processes, and threads, which share compiled code.
+    """
     scenarios = short(20) + [
         dataclasses.replace(SHORT, estimator=by_w(0.3)),
         dataclasses.replace(SHORT, terrain=rhec.Terrain.uniform(0.7, 0.6)),
@@ -397,6 +410,11 @@ def test_it_is_the_same_on_any_number_of_workers_and_without():
     assert not workers_of(psutil.Process())
     # Ctrl-C is blocked for the workers alone, and only while they start.
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with concurrent.futures.ThreadPoolExecutor(3) as threads:
+        for name, executor in dict(processes=processes, threads=threads).items():
+            assert_equal_rows(rhec.campaign(scenarios, tmp_path / name, executor), here)
+            assert_equal_rows(rhec.campaign(scenarios, tmp_path / name), here)
+        assert threads.submit(int).result() == 0  # it is still the caller's
 
 
 @pytest.mark.nightly
@@ -540,27 +558,12 @@ def test_a_worker_whose_compiler_fails_on_the_way_is_refused(monkeypatch, one_by
 # Executors of the caller
 
 
-def pool_of_one():
-    """A process of the standard library."""
-    return concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-
-
 @pytest.fixture(scope="module")
 def processes():
-    with pool_of_one() as pool:
+    """A process of the standard library."""
+    spawn = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(1, spawn) as pool:
         yield pool
-
-
-def test_any_executor_computes_the_same_rows(tmp_path, processes):
-    """Processes, and threads, which share compiled code."""
-    scenarios = [*short(20), BROKEN]
-    here = rhec.campaign(scenarios)
-    with concurrent.futures.ThreadPoolExecutor(3) as threads:
-        for name, executor in dict(processes=processes, threads=threads).items():
-            table = rhec.campaign(scenarios, tmp_path / name, executor)
-            assert_equal_rows(table, here)
-            assert_equal_rows(rhec.campaign(scenarios, tmp_path / name), here)
-        assert threads.submit(int).result() == 0  # it is still the caller's
 
 
 def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatch):
@@ -576,11 +579,10 @@ def test_a_worker_that_would_compute_other_bits_is_refused(processes, monkeypatc
         monkeypatch.undo()
 
 
-def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path):
-    """A pool of the standard library starts no other process."""
-    died = pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor")
-    with pool_of_one() as pool, died:
-        rhec.campaign([*short(2), LETHAL], tmp_path, pool)
+def test_an_executor_whose_worker_died_says_how_to_go_on(tmp_path, processes):
+    """A pool of the standard library starts no other process: no test after this one uses it."""
+    with pytest.raises(RuntimeError, match="ProcessPoolExecutor died, .* new executor"):
+        rhec.campaign([*short(2), LETHAL], tmp_path, processes)
 
 
 def test_an_interrupted_campaign_leaves_its_executor_without_its_tasks(monkeypatch):
@@ -671,17 +673,6 @@ def test_a_campaign_takes_as_many_cores_as_python_is_told(monkeypatch, told, cor
     monkeypatch.setenv("PYTHON_CPU_COUNT", told)
     pool = workers.get_workers(None, large=True)
     assert (pool.count if pool else 1) == cores
-
-
-# One verb for runs
-
-
-def test_simulate_takes_one_scenario_or_several_in_their_order():
-    scenarios = [*short(3), dataclasses.replace(SHORT, estimator="oracle"), *short(1)]
-    runs = rhec.simulate(iter(scenarios))
-    assert [run.scenario for run in runs] == scenarios and rhec.simulate([]) == []
-    for run, scenario in zip(runs, scenarios):
-        pd.testing.assert_frame_equal(run.log, rhec.simulate(scenario).log, check_exact=True)
 
 
 # Readings

@@ -142,7 +142,9 @@ def a_fault(draw):
         channels += tuple(SENSORS)
     channel = draw(st.sampled_from(channels))
     size = {name: draw(values) for name, values in OF_A_SIZE.get(kind, {}).items()}
-    times = dict(start_s=draw(st.floats(-2, 22)), duration_s=draw(st.floats(0, 10)))
+    # Some are there from the first sample, before which there is nothing to deliver.
+    start_s = draw(st.just(0.0) | st.floats(-2, 22))
+    times = dict(start_s=start_s, duration_s=draw(st.floats(0, 10)))
     return Fault(kind=kind, channel=channel, **size, **times)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from condensed_rhc import controller
-from loops import LOOPS, SMALL, unlike
+from loops import LOOPS, SMALL, lanes_as_in_use, unlike
 from own_steps import untraceable
 
 import rhec
@@ -21,23 +21,6 @@ from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
 
 pytestmark = pytest.mark.skipif(lanes.cpp_compiler() is None, reason="there is no C++ compiler")
-
-
-def load_as_in_use(build, *structure):
-    """The block with the flags that campaigns have, without what `conftest` adds to them."""
-    flags = tuple(flag for flag in compiled.FLAGS if flag != "-O0")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "FLAGS", flags)
-        return lanes.load.__wrapped__(build, *structure)
-
-
-def one_by_one_and_at_once(build, structure, memories, streams, settings, load=lanes.load):
-    """Rows of the runs by both ways."""
-    functions, block = compiled.load(build, *structure), load(build, *structure)
-    assert block.lanes in (2, 4, 8)
-    runs = [*zip(memories, streams, settings)]
-    at_once = runner.run(block, memories, streams, settings)
-    return [runner.run_one(functions, *run) for run in runs], at_once
 
 
 # Parts
@@ -176,7 +159,7 @@ def test_a_helper_on_one_line_takes_no_other_helper_with_it():
     assert "casadi_norm_inf(casadi_int n" in text and "casadi_sign(casadi_real x)" not in text
 
 
-def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_bits(always, monkeypatch):
+def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_runs(always, monkeypatch):
     own = rhec.Terrain.uniform(0.9, 0.7), rhec.Terrain.uniform(0.7, 0.9)
     kinds = [dict(q=(1.0, 1.0, 10.0)), dict(terrain=own[0])]
     kinds += [dict(start_offset_m=offset) for offset in (0.0, -0.0)]
@@ -186,9 +169,12 @@ def test_what_differs_in_seed_and_soil_alone_is_set_up_once_with_the_same_bits(a
     ]
     set_up, made = closed_loop.set_up, []
     monkeypatch.setattr(closed_loop, "set_up", lambda each: made.append(each) or set_up(each))
-    table = rhec.campaign(scenarios, workers=1)
+    runs = rhec.simulate(scenarios)
     assert len(made) == len(kinds) + 1  # one tells which lanes to compile
-    assert_rows_of_simulate(table, scenarios)
+    for run, alone in zip(runs, map(rhec.simulate, scenarios)):
+        pd.testing.assert_frame_equal(run.log, alone.log, check_exact=True)
+        np.testing.assert_equal(dataclasses.asdict(run.terrain), dataclasses.asdict(alone.terrain))
+        np.testing.assert_equal(run.metrics, alone.metrics)
 
 
 def test_few_runs_take_lanes_where_their_own_loop_is_not_compiled(monkeypatch):
@@ -260,19 +246,23 @@ def test_own_functions_are_within_a_few_units_in_the_last_place():
         assert np.max(off / np.spacing(np.abs(exact).astype(float))) <= units
 
 
-@pytest.mark.parametrize("load", (lanes.load, load_as_in_use))
+@pytest.mark.parametrize("load", (lanes.load, lanes_as_in_use))
 def test_whatever_the_number_a_lane_has_the_bits_of_the_scalar(load):
+    """Of more runs than there are lanes, of unlike lengths."""
     x = angles(500)
     extremes = [0.0, np.nan, np.inf, 1e6, 1e300, 5e-324, 1.5, 2.0**51, 2.0**52 + 1, 3.0]
     x = np.concatenate([x, extremes, np.negative(extremes), np.arange(20) / 4])
-    streams = [np.random.default_rng(lane).permutation(x)[:, None] for lane in range(8)]
-    memories, settings = np.arange(8.0)[:, None], [{}] * 8
-    runs = memories, streams, settings
-    one_by_one, at_once = one_by_one_and_at_once(build_functions, (), *runs, load)
-    np.testing.assert_array_equal(at_once, one_by_one)
-    virtual = runner.run_one(build_functions(), memories[0], streams[0], {})
-    near = np.abs(streams[0][:, 0]) < 1e5
-    np.testing.assert_allclose(one_by_one[0][near], virtual[near], rtol=1e-12, atol=1e-15)
+    streams = [np.random.default_rng(run).permutation(x)[:, None] for run in range(9)]
+    streams = [stream[-len(stream) * run // 9 :] for run, stream in enumerate(streams, 1)]
+    memories, settings = np.arange(9.0)[:, None], [{}] * 9
+    functions, block = compiled.load(build_functions), load(build_functions)
+    at_once = runner.run(block, memories, streams, settings)
+    one_by_one = [runner.run_one(functions, *run, {}) for run in zip(memories, streams)]
+    for rows, alone in zip(at_once, one_by_one, strict=True):
+        np.testing.assert_array_equal(rows, alone)
+    virtual = runner.run_one(build_functions(), memories[-1], streams[-1], {})
+    near = np.abs(streams[-1][:, 0]) < 1e5
+    np.testing.assert_allclose(one_by_one[-1][near], virtual[near], rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.nightly

@@ -63,6 +63,32 @@ def test_it_is_a_value_in_any_process():
     assert colour_of("rhe") == colour_of("RHE") != colour_of("ekf")
 
 
+def first_of(value):
+    return ca.Function("first", [ca.SX.sym("guess", 6)], [ca.DM([value] * 7)], ["guess"], ["m"])
+
+
+def test_each_argument_but_its_looks_tells_it_from_others():
+    shapes = (
+        dict(memory=(7, 1), z=(5, 1), W=(1, 1)),
+        dict(memory=(7, 1), estimate=(6, 1), covariance=(1, 1)),
+    )
+    own = rhec.Estimator(step_of(*shapes), states=("yaw",), sensors=("gyro",))
+    changes = [
+        dict(step=step_of(*shapes, name="other")),
+        dict(memory=(0.5,)),
+        dict(first=first_of(0.0)),
+        dict(first=first_of(1.0)),
+        dict(states=("rate",)),
+        dict(noises=dict(prediction=((0.5,), None))),
+        dict(sensors=("heading",)),
+    ]
+    changed = {name for change in changes for name in change}
+    fields = {field.name for field in dataclasses.fields(rhec.Estimator)}
+    assert changed == fields - {"label", "colour"}
+    every = [own, *(dataclasses.replace(own, **change) for change in changes)]
+    assert len({*every}) == len(every)
+
+
 # W, what it is told, and a first memory of its own
 
 

@@ -13,7 +13,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.offline import run_estimator
 from rhec.tracked_robot.paper_rhe import settings_of
 from rhec.tracked_robot.plant import Normal, draw_noise
-from rhec.tracked_robot.sensors import SENSORS
+from rhec.tracked_robot.sensors import SENSORS, are_accepted
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 BOTH = ("gyro", "heading")
@@ -150,3 +150,15 @@ def test_a_first_heading_that_is_missing_is_none(missing):
     expected = plain.feedback((1.0, 2.0, 0.5, 0.1))
     found = with_heading.feedback((1.0, 2.0, 0.5, 0.1, missing))
     np.testing.assert_allclose([*found.pose, *found.p], [*expected.pose, *expected.p], atol=1e-9)
+
+
+def test_of_a_recorded_gyro_a_number_is_used_that_is_new_and_not_absurd():
+    """New is what differs from the last number, however long ago that came."""
+    rng = np.random.default_rng(0)
+    measured = rng.choice([0.1, 0.2, -0.2, 50.0, np.nan], 300)
+    expected, last = [], None
+    for value in measured:
+        expected.append(bool(abs(value) < 1 and value != last))
+        last = last if np.isnan(value) else value
+    omega = pd.Series(rng.uniform(-0.5, 0.5, 300))
+    np.testing.assert_array_equal(are_accepted(pd.Series(measured), omega), expected)

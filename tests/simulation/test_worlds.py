@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers import SIMPLE_WORLD
 
 import rhec
 from rhec.simulation import closed_loop
@@ -41,16 +40,3 @@ def test_random_soil_lies_under_all_of_the_path_and_under_the_start(offset_m):
     x_min, x_max, y_min, y_max = setup.path.box
     assert (low <= np.array([x_min, y_min]) - 3.0).all()
     assert (high >= np.array([x_max, y_max]) + 3.0).all()
-
-
-def test_runs_of_the_simple_world_are_what_they_are():
-    """Poses after 20 s and 59.8 s, as they were recorded."""
-    of_rhe = dict(process_noise="printed", arrival_mean="smoothed")
-    scenario = rhec.Scenario(**SIMPLE_WORLD, **of_rhe, turns="left", duration_s=60.0)
-    log = rhec.simulate(scenario).log
-    poses = [
-        [9.057221325003816, 0.04861727825686246, 0.020332184396793324],
-        [26.760545977761332, -0.06335782519152527, -0.04138414162906666],
-    ]
-    found = log[["x_m", "y_m", "theta_rad"]].iloc[[100, 299]]
-    np.testing.assert_allclose(found, poses, rtol=0, atol=1e-6)

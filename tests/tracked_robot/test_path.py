@@ -180,15 +180,6 @@ def test_the_closest_point_is_followed_at_the_robots_pace():
     assert s > length  # where it counts on
 
 
-def test_points_are_one_sample_of_the_robots_own_pace_apart():
-    for nu, mu in ((0.5, 0.9), (0.3, 0.6), (-0.4, 1.0)):
-        points = along(
-            PATHS["open"], 5.5, estimate=[*PATHS["open"].poses([5.5])[0][0], nu, mu, 1.0]
-        )["xi_ref"]
-        expected = PATHS["open"].poses(5.5 + 0.2 * abs(nu) * mu * np.arange(HORIZON + 1))[0]
-        np.testing.assert_allclose(points.T, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("backwards", [0, 1])
 @pytest.mark.parametrize("turns", [-7, 0, 30])
 def test_the_yaw_reference_is_in_the_turn_of_the_estimate(turns, backwards):

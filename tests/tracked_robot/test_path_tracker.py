@@ -1,6 +1,7 @@
 """References on a path for any Model, by the names of its states."""
 
 import numpy as np
+import pytest
 
 import rhec
 from rhec.core.estimator.estimate import Estimate
@@ -53,6 +54,23 @@ def test_backwards_the_yaw_is_turned():
     for _ in range(2):
         first, second = ahead.references(found)[0], back.references(turned)[0]
     np.testing.assert_allclose(second, first + np.array([[0.0], [0.0], [np.pi]]), atol=1e-12)
+
+
+@pytest.mark.parametrize("options", [NAMES | dict(speed=0.5), {}], ids=["Model", "paper"])
+def test_after_a_restart_it_is_as_new(options):
+    """Also where the first estimate or yaw rate is not finite."""
+    used, new = (rhec.PathTracker(PATH, **options) for _ in range(2))
+
+    def references(tracker, x_m, omega):
+        named = estimate(x_m=x_m, y_m=3.0, yaw_rad=0.4)
+        given = (named,) if options else ((x_m, 3.0, 0.4, 0.5, 0.9, 0.8), omega)
+        return [*map(np.copy, tracker.references(*given)), tracker.s_m]
+
+    for x_m in (5.0, 6.0, 7.0):
+        references(used, x_m, 0.1)
+    used.restart()
+    for given in ((np.nan, np.nan), (3.0, np.nan), (4.0, 0.2)):
+        np.testing.assert_equal(references(used, *given), references(new, *given))
 
 
 def test_an_estimate_that_is_not_finite_keeps_the_references_of_the_last():

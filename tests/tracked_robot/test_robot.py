@@ -131,7 +131,10 @@ def test_the_position_error_has_the_deviation_and_correlation_time_asked_for():
 
 
 def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_way():
-    """Variances at 0 to 3 times a motion: a s² + b s, with b where bumps turn the robot alone."""
+    """Variances at 0 to 3 times a motion: a s² + b s, with b where bumps turn the robot alone.
+
+    What the soil changes by depends on how fast the tracks are, whichever way either turns.
+    """
     noise = SLIPPING.model.motion_noise
     constants = ca.DM([*noise.constants.values()])
     motion = np.array([0.5, 0.3, 0.0, 0.0, 0.0])
@@ -141,6 +144,13 @@ def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_
     *others, turning = (twice - rest) / np.where(once > rest, once - rest, 1)
     np.testing.assert_allclose(others, [0, 0, 4, 4], atol=1e-9)
     assert 2 < turning < 4
+    half_width_m = noise.constants["track_width_m"] / 2
+    ahead, *others = (
+        np.array(noise.process(ca.DM([*u, 0, 0, 0]), ca.DM.ones(7), DT, constants))
+        for u in ((0.3, 0.0), (-0.3, 0.0), (0.0, 0.3 / half_width_m), (0.0, -0.3 / half_width_m))
+    )
+    for other in others:
+        np.testing.assert_allclose(other, ahead, rtol=1e-12)
 
 
 @pytest.mark.parametrize("speed_model", ["slipping", "input"])
