@@ -225,7 +225,7 @@ def test_a_notebook_that_takes_long_says_below_which_heading_it_is(monkeypatch, 
         on_cell_start(v4.new_code_cell("# a comment"), 1)
         time.sleep(0.3)
     told = capfd.readouterr().out
-    assert told and {*told.splitlines()} == {"toy: 0 s, at “A heading”"}
+    assert told.endswith("\n") and {*told.splitlines()} == {"toy: 0 s, at “A heading”"}
     time.sleep(0.1)
     assert capfd.readouterr().out == ""
 
