@@ -273,11 +273,13 @@ def _telling(name):
         while not ended.wait(_TELL_S):
             print(f"{name}: {time.monotonic() - started_s:.0f} s, at “{heading}”", flush=True)
 
-    threading.Thread(target=tell, daemon=True).start()
+    telling = threading.Thread(target=tell, daemon=True)
+    telling.start()
     try:
         yield on_cell_start
     finally:
         ended.set()
+        telling.join()
 
 
 @contextlib.contextmanager

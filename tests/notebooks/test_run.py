@@ -238,14 +238,15 @@ def test_figures_of_other_values_go_beside_the_output_or_where_their_user_wants_
 
 
 def test_a_notebook_that_takes_long_says_below_which_heading_it_is(monkeypatch, capfd):
-    monkeypatch.setattr(notebook, "_TELL_S", 0.05)
+    monkeypatch.setattr(notebook, "_TELL_S", 0.2)
+    cells = v4.new_markdown_cell("# A heading\nand words"), v4.new_code_cell("# a comment")
     with notebook._telling("toy") as on_cell_start:
-        on_cell_start(v4.new_markdown_cell("# A heading\nand words"), 0)
-        on_cell_start(v4.new_code_cell("# a comment"), 1)
-        time.sleep(0.3)
+        for place, cell in enumerate(cells):
+            on_cell_start(cell, place)
+        time.sleep(0.5)
     told = capfd.readouterr().out
-    assert told and {*told.splitlines()} == {"toy: 0 s, at “A heading”"}
-    time.sleep(0.1)
+    assert told.endswith("\n") and {*told.splitlines()} == {"toy: 0 s, at “A heading”"}
+    time.sleep(0.3)
     assert capfd.readouterr().out == ""
 
 
