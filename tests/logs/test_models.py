@@ -202,7 +202,7 @@ def test_parameters_are_reported_and_zeros_remain(calibrated):
 def test_a_parameter_is_determined_where_the_log_halves_its_sigma(
     swing_radps, is_determined, monkeypatch
 ):
-    """That of κ is 0.2 before the log, whose 50 samples are just enough, with the noise as given."""
+    """That of κ is 0.2 before the log, whose 50 samples are just enough. The noise is as given."""
     monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
     log, _ = drive(0, 50, swing_radps)
     row = rhec.calibrate(log, **GUESSED | dict(sigma_v=SIGMA_V)).report.loc["kappa"]
