@@ -70,12 +70,13 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
 
 
 def test_a_bag_with_too_many_values_is_refused(tmp_path, monkeypatch):
+    """Those of two fields, and of positions with their variances."""
     file = write_bag(tmp_path, "mcap", driven())
     columns = dict(wheel="/drive.speeds[0]", east="/odom.pose.pose.position.x")
-    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 4 * N)
+    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 6 * N)
     assert len(rhec.logs.read(file, columns=columns)) == N
-    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 4 * N - 1)
-    with pytest.raises(ValueError, match=f"its topics have more than {4 * N - 1} values"):
+    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 6 * N - 1)
+    with pytest.raises(ValueError, match=f"its topics have more than {6 * N - 1} values"):
         rhec.logs.read(file, columns=columns)
 
 
