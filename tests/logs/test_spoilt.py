@@ -20,7 +20,6 @@ from rhec.simulation.columns import ESTIMATE
 
 EXAMPLE = pd.read_csv(make_example_log.FILE)
 LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
-STOPS = recorded_log(10.0, 150.0, noise_m=0.02, seed=4)
 
 
 def with_imu(log, rate_hz=60.0):
