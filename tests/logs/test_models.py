@@ -159,7 +159,7 @@ GUESSED = dict(
 )
 
 
-def drive(seed, n=800, swing_radps=0.4):
+def drive(seed, n=500, swing_radps=0.4):
     """A log with the noise SIGMA_V, and the true positions (n, 2)."""
     noise = np.random.default_rng(seed).standard_normal((n, 4)) * SIGMA_V
     t = DT_S * np.arange(n)
@@ -222,7 +222,7 @@ def test_a_replay_takes_a_calibration_and_becomes_better(calibrated):
 
 @pytest.mark.nightly
 def test_outliers_do_not_pass_for_noise():
-    log, _ = drive(2, 500)
+    log, _ = drive(2)
     random = np.random.default_rng(7)
     struck = random.choice(np.arange(20, len(log)), 8, replace=False)
     log.loc[struck, ["x_m", "y_m"]] += random.uniform(-5, 5, (8, 2))
@@ -231,7 +231,7 @@ def test_outliers_do_not_pass_for_noise():
 
 
 def test_delays_are_told_to_calibration_and_replay():
-    log, _ = drive(3, 500)
+    log, _ = drive(3, 300)
     log[["x_m", "y_m"]] = log[["x_m", "y_m"]].shift(5)
     found = rhec.calibrate(log, **GUESSED, delays_s=dict(x_m=1.0, y_m=1.0))
     np.testing.assert_allclose(found["sigma_v"][:2], SIGMA_V[:2], rtol=0.15)
