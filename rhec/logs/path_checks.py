@@ -53,7 +53,7 @@ class _Check(NamedTuple):
     least_share: float  # of the squares that the slope must explain to be judged
     causes: dict  # {upper limit of the slope: cause}; None for the range that is plausible
     above: tuple  # code, fact and remedy of a slope above 1
-    least: float = 0.0  # a smaller slope is in doubt
+    least: float = -np.inf  # a smaller slope is in doubt
 
 
 _CHECKS = (
@@ -255,10 +255,11 @@ def compare(intervals, delay_s):
 def _motion(rows):
     """The _Motion of a log; None if it is too short."""
     tracks = tracks_of(rows)
-    for length_s in LENGTHS_S:
-        intervals = intervals_of(tracks, length_s)
-        if compare(intervals, 0.0) is None:
-            return None
+    # Where positions are sparse only the longer ones are enough.
+    usable = [each for each in (intervals_of(tracks, s) for s in LENGTHS_S) if compare(each, 0.0)]
+    if not usable:
+        return None
+    for intervals in usable:
         compared = (compare(intervals, delay_s) for delay_s in _DELAYS_S)
         shares, losses = zip(*((each.share, each.unexplained) for each in compared))
         if max(shares) > _CLEAR_SHARE:

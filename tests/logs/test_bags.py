@@ -69,6 +69,17 @@ def test_fields_of_any_type_become_columns(tmp_path, kind):
     assert log.attrs["inferred"]["x_m, y_m, heading_rad, sent_s"].startswith("/odom, nav_msgs")
 
 
+def test_a_bag_with_too_many_values_is_refused(tmp_path, monkeypatch):
+    """Those of two fields, and of positions with their variances."""
+    file = write_bag(tmp_path, "mcap", driven())
+    columns = dict(wheel="/drive.speeds[0]", east="/odom.pose.pose.position.x")
+    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 6 * N)
+    assert len(rhec.logs.read(file, columns=columns)) == N
+    monkeypatch.setattr("rhec.logs.bags.MOST_VALUES", 6 * N - 1)
+    with pytest.raises(ValueError, match=f"its topics have more than {6 * N - 1} values"):
+        rhec.logs.read(file, columns=columns)
+
+
 def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
     """A wheel radius makes speeds of wheels, in rad/s, speeds of tracks."""
     messages = [each for each in driven() if each[0] == "/drive"]

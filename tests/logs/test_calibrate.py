@@ -4,6 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from helpers import may_be_unsure, recorded_log
 from scipy.signal import lfilter
@@ -13,6 +14,7 @@ from rhec.logs import calibration
 from rhec.logs.causes import tried
 from rhec.logs.filtering import OUTLIER
 from rhec.logs.likelihood import Likelihood
+from rhec.logs.recording import prepare
 
 ARM_M = (0.25, -0.1)
 # What is printed of a log with this antenna.
@@ -169,6 +171,40 @@ def test_a_hypothesis_that_holds_takes_the_place_of_what_was_assumed():
         lambda log, best: (10 * best, "ten times"),
     )
     assert [*tried(hypotheses, 2, 1)] == [(3, "more"), (30, "ten times")]
+
+
+# {hypothesis: {its case: whether it holds}}, in the order of `calibration`
+HYPOTHESES = {
+    "late [s], σ [s]": {(0.11, 0.05): True, (0.09, 0.01): False, (0.2, 0.11): False},
+    "wander [s], noise [times]": {(157.0, 1.52): True, (157.0, 1.48): False, (155.0, 1.52): False},
+    "worse [times], errors": {(1.167, 6): True, (1.158, 6): False, (1.5, 5): False},
+}
+
+
+@pytest.mark.parametrize("what", HYPOTHESES)
+def test_a_hypothesis_holds_from_an_amount_on(what, monkeypatch):
+    """The search finds the middle of the priors and, where few positions count, so much noise.
+
+    The errors of hidden positions are 2 cm by the defaults, and scatter by a tenth.
+    """
+    hypothesis = dict(zip(HYPOTHESES, calibration._HYPOTHESES))[what]
+
+    def likeliest(each):
+        few_count = np.isfinite(each.segments[0][:, 0]).mean() < 0.5
+        return np.eye(len(each.unknowns))[0] * few_count * np.log(other) / np.log(3.0)
+
+    monkeypatch.setattr(Likelihood, "most_likely", likeliest)
+    monkeypatch.setattr(calibration, "hidden_errors", lambda *_: next(errors))
+    for (amount, other), holds in HYPOTHESES[what].items():
+        duration_s = amount if "wander" in what else 20.0
+        recording = prepare(recorded_log(5.0, duration_s, noise_m=0.02))
+        scatter = 0.02 + 0.002 * (-1.0) ** np.arange(int(other))
+        errors = (
+            pd.DataFrame(dict(error_m=each)) for each in (amount * scatter, [0.02] * int(other))
+        )
+        log = calibration._Log(recording, [0.4], 0.0, 0.0, (amount, other))
+        found = hypothesis(log, calibration._fitted(log, 0.0))
+        assert (found is not None) == holds, (amount, other)
 
 
 def test_a_sample_that_does_not_count_may_have_no_loss():

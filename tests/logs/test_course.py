@@ -200,12 +200,3 @@ def test_some_outliers_are_no_side_slip():
     log = recorded_log(noise_m=0.02)
     log.loc[200:280:8, ["x_m", "y_m"]] += 2.0
     assert (rhec.replay(log, first_yaw_rad=0.4)["sigma_theta_rad"] < UNSURE_RAD).all()
-
-
-@may_be_unsure
-def test_what_comes_later_changes_no_sigma():
-    log = on_ice(2.0, 23, 80.0)
-    given = dict(first_yaw_rad=0.3, smooth=False, trust_log=True)
-    whole = rhec.replay(log, **given)["sigma_theta_rad"]
-    part = rhec.replay(log[:400], **given)["sigma_theta_rad"]
-    np.testing.assert_array_equal(part, whole[:400])

@@ -374,7 +374,7 @@ LIMITS = {
         21,
     ),
     "positions that repeat": (lambda n: LOG.assign(x_m=1.0, y_m=1.0)[:n], "never change", 5, 6),
-    "rows, clockwise": (lambda n: times(-1, W)[:n], "counted clockwise", 370, 390),
+    "rows, clockwise": (lambda n: times(-1, W)[:n], "counted clockwise", 238, 245),
     "rows, late": (lambda n: late(LOG, 4)[:n], "later than speed_mps", 590, 630),
     "times repeat": (repeated, ": 1% of the rows have times", 0.0095, 0.012),
     "a spike [m/s]": (lambda v: change(T == 70, speed_mps=SPEED - v), "1 values of sp", 0.95, 1.05),
@@ -532,6 +532,14 @@ def test_the_page_says_what_is_said():
         assert any(re.search(pattern, fact) for fact in said), (what, said)
 
 
+@pytest.mark.parametrize("what", ["speed in km/h", "yaw rate clockwise", "positions 0.4 s late"])
+def test_a_position_a_second_is_enough(what):
+    log = WRONG[what][0]
+    sparse = log.assign(**{name: log[name].where(log.index % 10 == 0) for name in XY})
+    found, expected = rhec.doctor(sparse).findings, findings_of(what)
+    assert [each.code for each in found] == [each.code for each in expected]
+
+
 HEALTHY = {
     "simulated": LOG,
     "slower": recorded_log(5.0, 120.0, noise_m=0.03),
@@ -553,7 +561,10 @@ HEALTHY = {
     "noise of 0.1 m": noisy(0.1),
     "noise of 0.5 m": noisy(0.5),
     "noise of 2 m": noisy(2.0),
-    "a tenth of the positions": missing(LOG.index % 10 > 0, "x_m", "y_m"),
+    "a tenth of the positions": missing(LOG.index % 10 > 0, *XY),
+    "positions for a second of five": times(1 / 1.3, W).assign(
+        **missing(LOG.index % 50 >= 10, *XY)[[*XY]]
+    ),
     "much slip": LOG.assign(speed_mps=1.5 * SPEED, yaw_rate_radps=2 * TURN),
     "two drives": pd.concat([LOG.assign(segment="a"), LOG.assign(segment="b", x_m=X + 20)]),
 }

@@ -391,12 +391,14 @@ def test_several_files_of_one_drive_are_put_together_by_their_clock(tmp_path):
     (tmp_path / "wheels.csv").write_text(
         "timestamp_ms,v,y_m\n1714730400100,5,0\n1714730400200,6,0\n"
     )
-    files = [tmp_path / "gps.csv", tmp_path / "wheels.csv"]
+    (tmp_path / "gyro.csv").write_text("# t_ms gyro_radps\n1714730400300 7\n1714730400400 8\n")
+    files = [tmp_path / name for name in ("gps.csv", "wheels.csv", "gyro.csv")]
     log = rhec.logs.read(files, columns=dict(x_m="east", speed_mps="v"))
-    np.testing.assert_allclose(log["t_s"], [0.0, 0.1, 0.2, 1.0], atol=1e-6)
-    np.testing.assert_array_equal(log["x_m"], [1, np.nan, np.nan, 3])
-    np.testing.assert_array_equal(log["y_m"], [2, np.nan, np.nan, 4])
-    np.testing.assert_array_equal(log["speed_mps"], [np.nan, 5, 6, np.nan])
+    np.testing.assert_allclose(log["t_s"], [0.0, 0.1, 0.2, 0.3, 0.4, 1.0], atol=1e-6)
+    np.testing.assert_array_equal(log["x_m"], [1, *[np.nan] * 4, 3])
+    np.testing.assert_array_equal(log["y_m"], [2, *[np.nan] * 4, 4])
+    np.testing.assert_array_equal(log["speed_mps"], [np.nan, 5, 6, *[np.nan] * 3])
+    np.testing.assert_array_equal(log["gyro_radps"], [*[np.nan] * 3, 7, 8, np.nan])
     with pytest.raises(ValueError, match="columns.'x_m'. was 'easting'; no file has it"):
         rhec.logs.read(files, columns=dict(x_m="easting"))
 

@@ -16,8 +16,9 @@ import rhec
 from notebooks.further.recorded import scores
 from rhec import paper
 from rhec.logs import recording
+from rhec.logs.course import SIGMA_BY_COURSE
 from rhec.logs.replay import InitialGuess, estimate_samples, replay_scenario
-from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH
+from rhec.simulation.columns import ESTIMATE, MEASUREMENTS, RECORDED_TRUTH, SIGMA
 
 LOG = recorded_log(noise_m=0.02)
 
@@ -202,7 +203,7 @@ def test_the_future_changes_no_estimate_before_it(gnss, first_yaw_rad):
     given = dict(sigma_v=(0.03, 0.03, 0.1, 0.1), process_noise="prediction")
     given |= dict(first_yaw_rad=first_yaw_rad, trust_log=True, smooth=False)
     whole = rhec.replay(log, **given)
-    columns = [*ESTIMATE, "sigma_kappa", "innovation_x_m", "ok"]
+    columns = [*ESTIMATE, *SIGMA[:6], SIGMA_BY_COURSE, "innovation_x_m", "ok"]
     for from_s in generator.uniform(1.0, 39.0, 2):
         past = log[log["t_s"] <= from_s]
         for other in (past, another_future(log, from_s, generator)):

@@ -20,7 +20,6 @@ from rhec.simulation.columns import ESTIMATE
 
 EXAMPLE = pd.read_csv(make_example_log.FILE)
 LOG = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)
-STOPS = recorded_log(10.0, 150.0, noise_m=0.02, seed=4)
 
 
 def with_imu(log, rate_hz=60.0):
@@ -35,12 +34,13 @@ def with_imu(log, rate_hz=60.0):
 def without_a_search(monkeypatch):
     """A calibration whose noise does not count takes the middle of the priors for the likeliest."""
     monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
+    with four_headings():
+        yield
 
 
 @pytest.mark.usefixtures("without_a_search")
 def test_a_bag_with_an_imu_is_calibrated():
-    with four_headings():
-        summary = rhec.log(with_imu(LOG[:300], 30.0), calibrate=True, trust_log=True)
+    summary = rhec.log(with_imu(LOG[:300], 30.0), calibrate=True, trust_log=True)
     found = summary.calibration
     told = found.report["value"]
     # All are as many times as large, so that the gains are those of the likeliest noise.

@@ -375,27 +375,29 @@ def test_what_a_check_warns_of_is_not_trusted(change, says):
     assert page[-1].startswith("Warnings: ") and says in page[-1].replace("The log", "the log")
 
 
+def at_mu(mu):
+    """The log of a robot whose μ is so large."""
+    return LOG.assign(speed_mps=MU / mu * LOG["speed_mps"])
+
+
 WORDS = "is no traction", "times too small", "could be hidden"
-# {a log at a speed that makes μ so large, or of so many seconds: the doubts that are said of it}
+# {a log: (it, the doubts that are said of it)}
 DOUBTS = {
-    1.3: [],
-    1.45: ["times too small"],
-    1.55: ["is no traction", "times too small"],
-    36.0: [],
-    33.0: ["could be hidden"],
+    "μ of 1.3": (at_mu(1.3), []),
+    "μ of 1.45": (at_mu(1.45), ["times too small"]),
+    "μ of 1.55": (at_mu(1.55), ["is no traction", "times too small"]),
+    "36 s": (recorded_log(5.0, 36.0, noise_m=0.02, seed=3), []),
+    "33 s": (recorded_log(5.0, 33.0, noise_m=0.02, seed=3), ["could be hidden"]),
 }
 
 
-@pytest.mark.parametrize("amount", DOUBTS)
-def test_a_doubt_begins_at_an_amount(amount):
-    log = LOG.assign(speed_mps=MU / amount * LOG["speed_mps"])
-    if amount > 2:
-        log = recorded_log(5.0, amount, noise_m=0.02, seed=3)
+@pytest.mark.parametrize("what", DOUBTS)
+def test_a_doubt_begins_at_an_amount(what):
+    log, doubts = DOUBTS[what]
     summary = rhec.log(log, trust_log=True)
-    said = [words for words in WORDS if any(words in doubt for doubt in summary.doubts)]
-    assert said == DOUBTS[amount]
-    short = "Cannot tell yet: the log is too short to tell μ: drive for a minute"
-    assert summary.verdict.startswith(short) == (amount > 2)
+    assert [words for words in WORDS if any(words in each for each in summary.doubts)] == doubts
+    too_short = "Cannot tell yet: the log is too short to tell μ: drive for a minute"
+    assert summary.verdict.startswith(too_short) == what.endswith(" s")
 
 
 def test_a_note_is_no_warning():
