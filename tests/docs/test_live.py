@@ -72,13 +72,17 @@ def test_soil_of_every_start_and_path_is_a_part_of_the_data(kind, turns, seed, o
     np.testing.assert_allclose(fields[:, :rows, :columns], expected, atol=8e-6)  # 16 bits
 
 
+@pytest.fixture(scope="module")
+def errors():
+    return page.functions_of(rhec.Scenario())["errors"]
+
+
 @pytest.mark.nightly(keep=4)
 @pytest.mark.parametrize("turns", page.TURNS.values())
 @pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
-def test_errors_are_those_of_the_run(turns, own):
+def test_errors_are_those_of_the_run(turns, own, errors):
     run = rhec.simulate(rhec.Scenario(duration_s=240.0, turns=turns, **own))
     rows = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
-    errors = page.functions_of(rhec.Scenario())["errors"]
     field = page.fields_of_turns()[turns]
     path = np.reshape(field["segments"], (-1, 5)).T, field["length_m"]
     found = dict(zip(functions.ERRORS, errors.map(len(rows))(rows.T, *path).full()))
