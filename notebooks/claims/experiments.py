@@ -308,8 +308,7 @@ def kkt_tolerances(n=100):
     is computed again at the result.
     """
     rows = []
-    weights = {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}
-    controllers = {name: rhec.RHC(q=q) for name, q in weights.items()}
+    controllers = dict(linear=rhec.RHC(q=(0.0, 0.0, 1.0)), nonlinear=rhec.RHC(q=paper.Q3))
     for speed, mu, kappa, offset in _draw_states(n):
         problem = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu))
         row = {}
