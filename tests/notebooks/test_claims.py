@@ -977,6 +977,8 @@ def test_measured_agrees_with_the_log(run):
         near_bound=(log[["mu_hat", "kappa_hat"]].min(axis=1) >= 0.9).mean(),
         deviation_kappa_late=late["kappa_hat"].std(ddof=0),
         step_kappa=root_mean_square(log["kappa_hat"].diff()),
+        lag_mu_s=0.2
+        * min(range(51), key=lambda n: (log["mu_hat"].shift(-n) - log["mu"]).pow(2).mean()),
         speed_variation=speed.std(ddof=0) / speed.mean(),
         rms_nu_hat_mps=root_mean_square(moving["nu_hat_mps"] - moving["nu_mps"]),
         rms_nu_meas_mps=root_mean_square(moving["nu_meas_mps"] - moving["nu_mps"]),
