@@ -30,7 +30,6 @@ html_sidebars = {
         "sidebar/scroll-end.html",
     ]
 }
-html_show_sourcelink = False
 html_copy_source = False
 html_use_index = False
 # A page opened from the disk may not read other pages, which the excerpts would be taken from.

@@ -308,12 +308,13 @@ def kkt_tolerances(n=100):
     is computed again at the result.
     """
     rows = []
+    controllers = dict(linear=rhec.RHC(q=(0.0, 0.0, 1.0)), nonlinear=rhec.RHC(q=paper.Q3))
     for speed, mu, kappa, offset in _draw_states(n):
         problem = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu))
         row = {}
-        for name, q in {"linear": (0.0, 0.0, 1.0), "nonlinear": paper.Q3}.items():
+        for name, controller in controllers.items():
             for place, count in {"reported": 1, "after_step": 2}.items():
-                controller = rhec.RHC(q=q)
+                controller.restart()
                 controller.solve(*problem, count)
                 row[f"{name}_{place}"] = controller.kkt
         rows.append(row)
@@ -327,12 +328,15 @@ def gains(n=100):
         DataFrame, one row a random state: |∂ω/∂y| [rad/s/m], with R = 10 and a hundredth of it.
     """
     rows = []
-    weights = {"large_r": paper.R, "small_r": paper.R / 100}
+    controllers = {"large_r": rhec.RHC(), "small_r": rhec.RHC(r=paper.R / 100)}
     offset_m = 1e-4  # small enough that no input reaches its bound
     for speed, mu, kappa, _ in _draw_states(n):
         problem = (0.0, offset_m, 0.0), (speed, mu, kappa), *_straight_ahead(speed, mu)
-        commands = {name: rhec.RHC(r=r).solve(*problem) for name, r in weights.items()}
-        rows.append({name: abs(command) / offset_m for name, command in commands.items()})
+        row = {}
+        for name, controller in controllers.items():
+            controller.restart()
+            row[name] = abs(controller.solve(*problem)) / offset_m
+        rows.append(row)
     return pd.DataFrame(rows)
 
 

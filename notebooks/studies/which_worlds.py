@@ -455,17 +455,13 @@ def write(table, file):
     flat.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
-def read(file, fields=FIELDS):
-    """A table of `drive` from a file; each world has so many fields."""
-    table = pd.read_parquet(file).astype(float)
+def read(*files):
+    """A table of `drive` from files, whose worlds follow one another."""
+    table = pd.concat(map(pd.read_parquet, files)).astype(float)
     columns = pd.MultiIndex.from_tuples([name.split(".") for name in table.columns])
-    return _indexed(table.set_axis(columns, axis=1), fields)
-
-
-def _indexed(table, fields):
-    """A table whose rows are worlds in order, so many fields each, with that index."""
     rows = np.arange(len(table))
-    return table.set_index(pd.MultiIndex.from_arrays([rows // fields, rows % fields], names=_INDEX))
+    index = pd.MultiIndex.from_arrays([rows // FIELDS, rows % FIELDS], names=_INDEX)
+    return table.set_axis(columns, axis=1).set_index(index)
 
 
 def prior_drives():
@@ -834,14 +830,13 @@ def posterior_drives():
     return {name: drives.iloc[ends[k] : ends[k + 1]] for k, name in enumerate(names)}
 
 
-def shares(statistics, effective=None, fields=FIELDS):
+def shares(statistics, effective=None):
     """How often one drive gives what the paper states.
 
     Args:
         statistics: (n, k), the fields of each world next to each other, or (m, n, k) if each world
             was driven with m choices of W.
         effective: How many worlds are effectively behind it, for the intervals; None: all.
-        fields: How many each world was driven on.
 
     Returns:
         DataFrame, one row for each of STATEMENTS, one for the four numbers together and one for all
@@ -853,7 +848,7 @@ def shares(statistics, effective=None, fields=FIELDS):
     flags = np.concatenate([flags, numbers, flags.all(axis=-1, keepdims=True)], axis=-1)
     texts = [statement.text for statement in STATEMENTS.values()]
     texts += ["the four numbers together", "all statements together"]
-    n = effective or flags.shape[-2] / fields
+    n = effective or flags.shape[-2] / FIELDS
     rows = [effective_share(value, n) for value in flags.reshape(-1, len(texts)).mean(axis=0)]
     columns = ["drives", "drives_low", "drives_high"]
     return pd.DataFrame(rows, texts, columns).rename_axis("statement")
@@ -910,7 +905,7 @@ def drive_round(unit, first_world, folder):
         As `kept`.
     """
     folder = store.open_folder(folder)
-    blocks = []
+    files = []
     for first in range(0, len(unit), _BLOCK):
         of_block = unit[first : first + _BLOCK]
         worlds = [*map(fields_of, worlds_at(of_block).to_dict("records"))]
@@ -922,8 +917,8 @@ def drive_round(unit, first_world, folder):
             with replacing(file) as unfinished:
                 write(table, unfinished)
             print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
-        blocks.append(read(file))
-    return _indexed(pd.concat(blocks), FIELDS)
+        files.append(file)
+    return read(*files)
 
 
 def main():

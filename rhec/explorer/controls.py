@@ -13,7 +13,6 @@ from typing import NamedTuple
 from rhec.simulation.faults import Fault
 from rhec.simulation.scenario import Scenario
 from rhec.simulation.scenario_fields import fields_of
-from rhec.style import LABELS
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import Choice, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
@@ -97,8 +96,6 @@ def _fault(duration_s, **settings):
     return (Fault(start_s=40.0, duration_s=duration_s, **settings),)
 
 
-# {name in Scenario: label}
-ESTIMATORS = LABELS
 RULES = tuning.RULES_IN_DEFAULT_WORLD
 PROCESS_NOISES = tuple((name, name) for name in (*RULES, "custom"))
 _STATES = ("x [m]", "y [m]", "θ [rad]", "ν [m/s]", "μ [-]", "κ [-]")
@@ -190,9 +187,8 @@ def values_of(scenario):
         {key of a control: value}, with "process_noise", "seed" and "patches".
     """
     noise = tuning.process_noise_of(scenario)
-    values = vars(scenario) | dict(
-        sigma_w=sigma_w_shown(scenario), sigma_v=tuning.sigma_v_of(scenario)
-    )
+    values = vars(scenario) | dict(sigma_w=sigma_w_shown(scenario))
+    values["sigma_v"] = tuning.sigma_v_of(scenario)
     is_offered = scenario.sigma_w is scenario.sigma_v is None and noise in RULES
     keys = [*CONTROLS, "seed", "patches"]
     entries = {
@@ -203,9 +199,9 @@ def values_of(scenario):
 
 def sigma_w_shown(scenario):
     """The six standard deviations of W on the sliders: the scenario's, else those of the RHE."""
-    if scenario.sigma_w is not None and len(scenario.sigma_w) == 6:
-        return scenario.sigma_w
-    return tuning.noise_of("rhe", scenario).sigma_w
+    six = dict(zip(QUANTITIES, tuning.noise_of("rhe", scenario).sigma_w))
+    six |= dict(zip(_names_of_w(vars(scenario)), scenario.sigma_w or ()))
+    return tuple(six[name] for name in QUANTITIES)
 
 
 def scenario_of(values, estimator, start):
@@ -230,10 +226,9 @@ def scenario_of(values, estimator, start):
         else:
             settings[key] = value
     settings |= {name: tuple(entry) for name, entry in entries.items()}
-    read = estimator_of(estimator).sensors
-    settings["sensors"] = settings["sensors"] if read is None else read
-    takes_yaw_drift = estimator_of(estimator).takes_yaw_drift
-    settings["yaw_drift"] &= takes_yaw_drift and settings["speed_model"] != "slipping"
+    own = estimator_of(estimator)
+    settings["sensors"] = settings["sensors"] if own.sensors is None else own.sensors
+    settings["yaw_drift"] &= own.takes_yaw_drift and settings["speed_model"] != "slipping"
     absent = {*SENSORS} - {*settings["sensors"]}
     settings["faults"] = tuple(each for each in settings["faults"] if each.channel not in absent)
     rule = settings["process_noise"]
@@ -243,8 +238,10 @@ def scenario_of(values, estimator, start):
     elif rule == tuning.DEFAULT_RULE:
         settings["process_noise"] = None
     if rule == "custom":
-        is_touched = start.sigma_w or settings["sigma_w"] != sigma_w_shown(start)
-        settings["sigma_w"] = _sigma_w_for_estimator(settings) if is_touched else None
+        is_others = start.sigma_w and _names_of_w(settings) != _names_of_w(vars(start))
+        is_touched = is_others or settings["sigma_w"] != sigma_w_shown(start)
+        own_w = _sigma_w_for_estimator(settings, start)
+        settings["sigma_w"] = own_w if is_touched else start.sigma_w
         if settings["sigma_v"] == tuning.sigma_v_of(start):
             settings["sigma_v"] = start.sigma_v
     else:
@@ -252,18 +249,23 @@ def scenario_of(values, estimator, start):
     return Scenario(**settings)
 
 
-def _sigma_w_for_estimator(settings):
-    """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
+def _names_of_w(settings):
+    """The states whose standard deviations `sigma_w` of a Scenario with these fields has."""
     estimator = estimator_of(settings["estimator"])
     shape = (settings[name] for name in Choice._fields[:4])
     choice = Choice(*shape, yaw_drift=settings["yaw_drift"])
     n = estimator.n_sigma_w(choice)
-    names = estimator.states(choice)[-n:] if n else ()
-    six = dict(zip(QUANTITIES, settings["sigma_w"]))
+    return estimator.states(choice)[-n:] if n else ()
+
+
+def _sigma_w_for_estimator(settings, start):
+    """Scenario's `sigma_w` for an estimator, from the six sliders; None if it has no W."""
     # The yaw drift has no slider.
     tuned = tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w
-    six |= dict(yaw_drift_radpm=tuned[-1])
-    return tuple(six[name] for name in names) or None
+    sigmas = dict(yaw_drift_radpm=tuned[-1])
+    sigmas |= dict(zip(_names_of_w(vars(start)), start.sigma_w or ()))
+    sigmas |= dict(zip(QUANTITIES, settings["sigma_w"]))
+    return tuple(sigmas[name] for name in _names_of_w(settings)) or None
 
 
 def tidy(control, value, before):

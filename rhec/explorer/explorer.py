@@ -29,7 +29,6 @@ from rhec.simulation import closed_loop
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot import tuning
 from rhec.tracked_robot.sensors import SENSORS
-from rhec.tracked_robot.tuning import Noise
 
 if TYPE_CHECKING:  # the browser draws the screen, so Matplotlib waits until a figure is asked for
     from matplotlib.figure import Figure
@@ -149,7 +148,7 @@ class Explorer(widgets.VBox):
 
     def _make_inputs(self, against):
         values = controls.values_of(self.start)
-        estimators = [(name, key) for key, name in controls.ESTIMATORS.items()]
+        estimators = [(name, key) for key, name in style.LABELS.items()]
         for own in (self.start.estimator, against):
             if own is not None and own not in [key for _, key in estimators]:
                 estimators.append((style.label_of(own), own))
@@ -353,13 +352,12 @@ class Explorer(widgets.VBox):
         """Set the sliders of σ_W and σ_V to the noise in use; a custom one enables them."""
         rule = self.process_noise.value
         # As the entries of a Noise are called, so are the sliders.
-        for name in Noise._fields:
-            for place in range(len(getattr(tuning.NOISES["rhe"]["printed"], name))):
-                slider = self.inputs[name, place]
+        for key, slider in self.inputs.items():
+            if key[0] in tuning.Noise._fields:
                 slider.disabled = rule != "custom"
                 if slider.disabled:
                     with self._paused():
-                        slider.value = getattr(tuning.NOISES["rhe"][rule], name)[place]
+                        slider.value = getattr(tuning.NOISES["rhe"][rule], key[0])[key[1]]
 
     def _fold_sensors(self):
         """Hide the sliders of sensors that the robot does not have."""

@@ -1,5 +1,6 @@
 """The article: every number is a cell of a result or a number of the paper, and bytes repeat."""
 
+import functools
 import re
 import shutil
 
@@ -8,6 +9,7 @@ import pytest
 
 from docs.article import article
 from notebooks.further import faults, unknowns
+from rhec import paper
 
 SOURCE = (article.ROOT / "docs/article/article.typ").read_text(encoding="utf-8")
 PROSE = SOURCE[SOURCE.index("#align(center)") :]
@@ -23,18 +25,22 @@ def test_no_number_of_the_prose_is_written_by_hand():
     assert not re.findall(r"[^\n]*\d[^\n]*", left)
 
 
+@functools.cache
+def tables():
+    return {name: table.set_index(table.columns[0]) for name, table in article.tables().items()}
+
+
 def test_every_number_exists():
-    tables = {name: table.set_index(table.columns[0]) for name, table in article.tables().items()}
     cells = re.findall(r'#cell\("([^"]*)",\s*"([^"]*)",\s*"([^"]*)"\)', SOURCE)
     assert cells
     for name, row, column in cells:
-        assert tables[name].loc[row, column], (name, row, column)
+        assert tables()[name].loc[row, column], (name, row, column)
     for name in re.findall(r'#result\("(\w+)"', SOURCE):
-        assert len(tables[name]) > 1
+        assert len(tables()[name]) > 1
 
 
 def test_cases_of_faults_are_counted_as_the_notebook_counts_them():
-    table = article.tables()["faults"].set_index("estimator")
+    table = tables()["faults"]
     cases = pd.read_csv(article.ROOT / "data/results/table_faults.csv")
     counts = faults.verdict_counts(cases)
     for name, row in table.iterrows():
@@ -65,11 +71,40 @@ def test_the_same_inputs_give_the_same_bytes_and_a_missing_figure_is_named(tmp_p
     assert first.startswith(b"%PDF") and article.write(project).read_bytes() == first
 
 
-def test_the_worth_of_an_unknown_is_that_in_the_default_world(tmp_path, monkeypatch):
-    """It is the same without the other worlds of the table, which stand before it."""
-    shown = article._worth()
-    table = pd.read_csv(article.answer.RESULTS / "table_unknowns.csv")
-    alone = table[table["world"] == unknowns.DEFAULT]
-    alone.to_csv(tmp_path / "table_unknowns.csv", index=False)
-    monkeypatch.setattr(article.answer, "RESULTS", tmp_path)
-    assert len(alone) < len(table) and article._worth().equals(shown)
+def result(name):
+    return pd.read_csv(article.answer.RESULTS / f"{name}.csv")
+
+
+def numbers_of_results():
+    """{table: {(row, column): the number of the result}}"""
+    shares = result("inverse_statements").set_index("statement")
+    worth = result("table_unknowns")
+    worth = worth[(worth["world"] == unknowns.DEFAULT) & (worth["quantity"] == unknowns.RATIO)]
+    means = result("table_scenario_a").query("weight in ('Q1', 'Q2', 'Q3')")
+    return dict(
+        statements={
+            (row, f"share of the {when}"): share
+            for when in ("prior", "posterior")
+            for row, share in shares[f"{when} drives"].items()
+        },
+        ledger={(row.id, "here"): row.value for row in result("claims").itertuples()},
+        worth={(row.robot, row.weights): row.mean for row in worth.itertuples()},
+        scenario_a={(row.quantity, row.weight): row.mean for row in means.itertuples()},
+        times={
+            (", ".join(of), column): time
+            for of, times in paper.TABLE_1_MS.items()
+            for column, time in zip(("minimum", "average", "maximum"), times)
+        },
+    )
+
+
+@pytest.mark.parametrize("name", numbers_of_results())
+def test_each_cell_of_a_table_begins_with_the_number_of_its_result(name):
+    """Ratios near 1 to three decimals, others to three digits."""
+    table = tables()[name]
+    numbers = numbers_of_results()[name]
+    assert {*table.index} == {row for row, _ in numbers}
+    for (row, column), number in numbers.items():
+        shown = re.match(r"[−\d.e]*", table.loc[row, column])[0].replace("−", "-")
+        precision = dict(abs=6e-4) if name == "worth" else dict(rel=6e-3)
+        assert float(shown or "nan") == pytest.approx(number, nan_ok=True, **precision)

@@ -55,6 +55,8 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         if row["n"]:
             said += [interval_text(row["value"], row["low"], row["high"]), f"n = {row['n']}"]
         assert [part for part in said if " ".join(part.split()) not in text] == []
+        has_unit = f"the paper{row['paper']} {row['unit']}" in text
+        assert not (has_unit and row["unit"].startswith("share"))
         picture = all_cards[row["id"]].svg
         assert bool(picture) == (row["value"] != "")
         if picture:  # in words, for who does not see it

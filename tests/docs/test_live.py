@@ -21,9 +21,11 @@ import rhec
 from docs.live import functions, page, wasm, window
 from docs.site import report
 from rhec import paper
+from rhec.core import blocks
 from rhec.core._casadi import compiled
 from rhec.simulation import closed_loop
 from rhec.simulation.columns import COLUMNS, ESTIMATE, MEASUREMENTS
+from rhec.simulation.parts import parts_of
 from rhec.tracked_robot import plant, tuning
 from rhec.tracked_robot.references import padded_segments
 from rhec.tracked_robot.terrain import common_shape
@@ -37,11 +39,23 @@ def unpack(text, kind):
     return np.frombuffer(gzip.decompress(base64.b64decode(text)), dtype=kind)
 
 
-def test_noise_of_a_seed_is_rounded_to_a_step():
+def test_noise_of_a_seed_is_rounded_to_a_step_and_its_faults_are_those_of_a_run():
+    data = page.seed_data(3)
     expected = plant.draw_noise(3, functions.MAX_SAMPLES)
-    noise = unpack(page.seed_data(3)["noise"], np.int16).reshape(expected.shape)
+    noise = unpack(data["noise"], np.int16).reshape(expected.shape)
     # 16 bits hold eight standard deviations either way.
     np.testing.assert_allclose(page.NOISE_STEP * noise, expected, atol=8 / 2**15 / 2)
+    world = page._world()
+    for name, faults in page.FAULTS.items():
+        scenario = rhec.Scenario(seed=3, faults=eval(world["faults"][name], dict(rhec=rhec)))
+        parts = parts_of(scenario, closed_loop.world_of(scenario))
+        draw = blocks.brought(parts, "streams")["faults"]
+        drawn = draw(scenario.seed, functions.MAX_SAMPLES, scenario.faults)
+        np.testing.assert_array_equal(unpack(data["faults"][name], drawn.dtype), drawn.ravel())
+        (fault,) = faults
+        assert scenario.faults == faults
+        assert world["shaded"][name] == [(fault.start_s, fault.start_s + fault.duration_s)]
+    assert world["default_rule"] == tuning.process_noise_of(rhec.Scenario())
 
 
 @pytest.mark.parametrize(
@@ -72,13 +86,17 @@ def test_soil_of_every_start_and_path_is_a_part_of_the_data(kind, turns, seed, o
     np.testing.assert_allclose(fields[:, :rows, :columns], expected, atol=8e-6)  # 16 bits
 
 
+@pytest.fixture(scope="module")
+def errors():
+    return page.functions_of(rhec.Scenario())["errors"]
+
+
 @pytest.mark.nightly(keep=4)
 @pytest.mark.parametrize("turns", page.TURNS.values())
 @pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
-def test_errors_are_those_of_the_run(turns, own):
+def test_errors_are_those_of_the_run(turns, own, errors):
     run = rhec.simulate(rhec.Scenario(duration_s=240.0, turns=turns, **own))
     rows = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
-    errors = page.functions_of(rhec.Scenario())["errors"]
     field = page.fields_of_turns()[turns]
     path = np.reshape(field["segments"], (-1, 5)).T, field["length_m"]
     found = dict(zip(functions.ERRORS, errors.map(len(rows))(rows.T, *path).full()))
@@ -237,6 +255,11 @@ def test_a_module_comes_with_what_its_loop_needs(name, monkeypatch):
     others = {"memory", "noise", "padded_segments", "period_m", "origin_m", "cell_m", "slip"}
     assert {*built["sample"].name_in()} - {*made["settings"]} <= others | {"mean_traction"}
     assert made["faulty"] == ("faulty" in name) and {*made["noises"]} == {*page.RULES}
+    assert {*own} <= {"faults", *made["line"]} and len(made["states"]) == len(settings["W"])
+    for rule, noise in made["noises"].items():
+        settings = closed_loop.set_up(dataclasses.replace(scenario, process_noise=rule)).settings
+        np.testing.assert_allclose(np.square(noise["sigma_v"]), settings["V"])
+        np.testing.assert_allclose(np.square(noise["sigma_w"]), settings["W"])
     assert made["line"] == {key: of for key, of in own.items() if key != "faults"}
     assert b"int run(" in unpack(made["wasm"], np.uint8).tobytes()
     json.dumps(made, allow_nan=False)
@@ -319,6 +342,7 @@ def test_the_story_finds_the_window_in_the_loops_memory(taken_apart, monkeypatch
     pieces = setup.unpack(setup.memory)["estimator"]
     for name, places in tools["places"].items():
         np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
+    np.testing.assert_array_equal(tools["P_0"], setup.settings["P_0"])
 
 
 def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):

@@ -78,7 +78,9 @@ def pages_in_no_menu(source):
 
 def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     source = tmp_path / "source"
-    report._lay_out(source, [executed], figures, live=False)
+    other = executed.with_name("00_start.ipynb")  # which saved nothing
+    nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell("# Two")]), other)
+    report._lay_out(source, [executed, other], figures, live=False)
     published = {file.name for file in (source / "figures").iterdir()}
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}

@@ -58,6 +58,7 @@ def pictured(run, zoom="whole path"):
 
 # Controls and scenarios
 
+OWN_DRIFT = rhec.Scenario(yaw_drift=True, sigma_w=(1e-3,) * 6 + (0.004,))
 STARTS = [
     rhec.Scenario(),
     rhec.Scenario(
@@ -70,6 +71,9 @@ STARTS = [
     ),  # fmt: skip
     rhec.Scenario(sigma_w=(1e-3, 1e-3, 1e-3, 2e-3, 0.0034, 0.012)),
     rhec.Scenario(process_noise="tracking", sigma_v=(0.02, 0.02, 0.03, 0.05), turns="right"),
+    rhec.Scenario(estimator="ekf", sigma_w=(1e-3, 2e-3, 3e-3, 4e-3)),
+    rhec.Scenario(speed_model="slipping", sigma_w=(0.003, 0.02)),
+    OWN_DRIFT,
     rhec.Scenario(process_noise="soft_soil"),
     rhec.Scenario(q=(100.0, 0.25, 1 / 3), r=0.007, speed_mps=0.123, gnss_sigma_m=0.0),
     rhec.Scenario(
@@ -85,6 +89,11 @@ STARTS = [
 def test_untouched_controls_give_the_start_scenario(start):
     values = controls.values_of(start)
     assert controls.scenario_of(values, start.estimator, start) == start
+    # Sliders show its own W, of which another estimator takes what it has.
+    shown = [values["sigma_w", place] for place in range(6)]
+    assert {*(start.sigma_w or ())[:6]} <= {*shown}
+    for_ekf = controls.scenario_of(values, "ekf", start).sigma_w
+    assert for_ekf == (tuple(shown[:4]) if start.sigma_w else None)
     is_own = start.sigma_w or start.sigma_v or start.process_noise == "soft_soil"
     assert values["process_noise"] == ("custom" if is_own else start.process_noise or "prediction")
     # The rule that is the default, and was no other at the start, is not written.
@@ -130,6 +139,9 @@ def test_a_slider_goes_from_one_round_number_to_another_in_steps_that_all_may_be
         steps_to_it = (values[key] - slider.low) / slider.step
         assert steps_to_it == pytest.approx(round(steps_to_it))
     steps = (slider.high - slider.low) / slider.step
+    third = slider.low + 3 * slider.step
+    third = 10**third if slider.kind == "log" else third
+    assert controls.tidy(slider, third * (1 + 1e-13), values[key]) == pytest.approx(third, rel=1e-3)
     assert 38 <= steps <= 300 and float(f"{slider.step:.1g}") == slider.step
     assert f"{slider.step:e}"[0] in "125"
     # Soil that is half firm may vary most.
@@ -180,8 +192,10 @@ def test_own_process_noise_has_the_size_each_estimator_takes():
         assert controls.scenario_of(given, "rhe", SHORT).sigma_w == sigma_w
     assert controls.scenario_of(values, "ekf", SHORT).sigma_w == (*pose, 0.5)
     assert controls.scenario_of(values, "oracle", SHORT).sigma_w is None
-    *_, of_drift = controls.scenario_of(values | dict(yaw_drift=True), "rhe", SHORT).sigma_w
-    assert of_drift == tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w[6]
+    tuned = tuning.NOISES["rhe_yaw_drift"]["prediction"].sigma_w[6]
+    for start, of_drift in ((SHORT, tuned), (OWN_DRIFT, OWN_DRIFT.sigma_w[6])):
+        drifting = controls.scenario_of(values | dict(yaw_drift=True), "rhe", start)
+        assert drifting.sigma_w == (*pose, 0.5, *traction, of_drift)
 
 
 def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it():
@@ -189,7 +203,7 @@ def test_sensors_and_their_faults_apply_to_the_rhe_and_to_the_oracle_beside_it()
     values = controls.values_of(SHORT)
     dead = (rhec.Fault(kind="dead", channel="gyro"),)
     values |= dict(sensors=("gyro",), faults=dead)
-    for key in controls.ESTIMATORS:
+    for key in style.LABELS:
         scenario = controls.scenario_of(values, key, SHORT)
         assert (scenario.sensors, scenario.faults) == (
             (("gyro",), dead) if key in ("rhe", "oracle") else ((), ())
@@ -277,10 +291,10 @@ def test_an_estimator_of_ones_own_is_one_of_the_list_and_drives(tmp_path):
     made = rhec.Explorer(SHORT, against=own, folder=tmp_path)
     for several, none in ((made.estimator, 0), (made.against, 1)):
         assert [label for label, _ in several.options][-1] == own.label
-        assert len(several.options) == len(controls.ESTIMATORS) + 1 + none
+        assert len(several.options) == len(style.LABELS) + 1 + none
     assert [run.scenario.estimator for run in made.runs] == ["rhe", own]
     # What is there already is there once.
-    assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(controls.ESTIMATORS)
+    assert len(rhec.Explorer(SHORT, folder=tmp_path).estimator.options) == len(style.LABELS)
 
 
 def test_a_start_with_a_fault_of_its_own_has_it_in_the_list():
@@ -416,7 +430,9 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
             assert bool(mark["dash"]) == line.is_dashed() and sum(mark["dash"]) == pytest.approx(
                 sum(line._unscaled_dash_pattern[1] or ()) * mark["width"]
             )
+            assert (line.get_markerfacecolor() == "none") != mark["full"]
     names = [text.get_text() for text in figure.legends[0].texts]
+    assert names[:2] == ["RHE", "EKF"]  # what is drawn on top comes first
     assert names == [mark["label"] for mark in made.screen.picture["legend"]]
     (image,) = saved[made.screen.picture["panels"]["map"]["title"]].images
     shades = image.norm(image.get_array())

@@ -39,6 +39,7 @@ def test_each_log_of_the_page_is_judged(monkeypatch):
 
 
 def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
+    """Those that wander have forgotten all but 1/e after a minute."""
     white, wandering, late = (
         verdicts.open_loop_log(5, noise_m=noise_m, **changes)
         for noise_m, changes in ((0.1, {}), (0.0, dict(wander_m=1.0)), (0.0, dict(late_s=0.2)))
@@ -46,6 +47,9 @@ def test_errors_of_positions_are_as_large_as_is_said_and_late_ones_are_late():
     for log, sigma_m, rel in ((white, 0.1, 0.1), (wandering, 1.0, 0.7)):
         off = (log["x_m"] - log["x_true_m"]).dropna()
         assert np.sqrt((off**2).mean()) == pytest.approx(sigma_m, rel=rel)
+    off = verdicts._wandering(600_000, 1.0, np.random.default_rng(0)).real
+    assert off.std() == pytest.approx(1, rel=0.1)
+    assert np.corrcoef(off[600:], off[:-600])[0, 1] == pytest.approx(np.exp(-1), abs=0.06)
     off = late["x_m"] - late["x_true_m"].shift(2)
     assert off.abs().max() < 1e-2 < (late["x_m"] - late["x_true_m"]).abs().max()
 
