@@ -128,6 +128,7 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     assert len(libraries(tmp_path / "cache")) == 3
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_killed_build_is_built_again(tmp_path):
     compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"
@@ -268,6 +269,7 @@ BROKEN = {
     "an empty list": lambda folder: (folder / "content.json").write_text(""),
     "one file more": lambda folder: (folder / "more").touch(),
     "an empty folder": lambda folder: [file.unlink() for file in folder.iterdir()],
+    "a build that was killed": lambda folder: folder.rename(folder.parent / "building-name-dead"),
 }
 
 
