@@ -262,6 +262,22 @@ def load_text(folder):
     return text
 
 
+def test_whatever_makes_a_library_names_it(monkeypatch):
+    given = [(build_increment, ()), (build_increment, (1,)), (build_increment, (), "optimised")]
+    names = [compiled.library_name(*each) for each in (*given, (build_text, ()))]
+    for place, name, other in (
+        (compiled, "FLAGS", ("-O1",)),
+        (compiled, "compiler", lambda: "another"),
+        (compiled, "source_digest", lambda *modules: "another"),
+        (ca, "__version__", "another"),
+        (compiled.platform, "machine", lambda: "another"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, other)
+            names.append(compiled.library_name(build_increment, ()))
+    assert len({*names}) == len(names)
+
+
 BROKEN = {
     "half a library": lambda folder: (folder / "library").write_text("ne"),
     "no library": lambda folder: (folder / "library").unlink(),
