@@ -363,8 +363,8 @@ def plans(world, in_lane):
 
 
 UNITS_OF_THEIR_OWN = "each in a unit of its own"
-QUICK |= {("cart-pole", True, change) for change in (UNITS_OF_THEIR_OWN, "mirrored")}
-QUICK |= {("bicycle", False, UNITS_OF_THEIR_OWN)}
+QUICK |= {("cart-pole", True, UNITS_OF_THEIR_OWN), ("bicycle", False, UNITS_OF_THEIR_OWN)}
+QUICK |= {("cart", True, "mirrored")}
 
 
 def steps():
