@@ -548,7 +548,6 @@ class Row(NamedTuple):
     worst: float  # the largest error from the fault on
     median: float  # over drives, of their largest errors
     back: int  # samples from the last bad one until the error stays small, of the slowest drive
-    not_ok: float  # samples a drive
 
 
 def row_of(case, estimator, drives):
@@ -567,7 +566,6 @@ def row_of(case, estimator, drives):
         worst=float(max(largest)),
         median=float(np.median(largest)),
         back=int(max(back, default=0)),
-        not_ok=float((~ok).sum() / len(ok)),
     )
 
 

@@ -137,7 +137,7 @@ def retold(robot, there, back, time=1.0, order=tuple, keeps_model=False):
     )
 
 
-QUANTITIES = ("z", "guess", "x", "p", "x_ref", "u_ref")  # of a world, each {name: …}
+QUANTITIES = ("z", "z_moved", "guess", "x", "p", "x_ref", "u_ref")  # of a world, each {name: …}
 
 
 class Lane(NamedTuple):

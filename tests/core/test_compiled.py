@@ -128,6 +128,7 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     assert len(libraries(tmp_path / "cache")) == 3
 
 
+@pytest.mark.nightly
 @needs_compiler
 def test_a_killed_build_is_built_again(tmp_path):
     compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"
@@ -225,7 +226,7 @@ def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, expected, options, ev
         assert len(list(elsewhere.glob("rhec-*/*/library.so"))) == 1
 
 
-@pytest.mark.nightly(keep=1)
+@pytest.mark.nightly
 @needs_compiler
 @pytest.mark.parametrize("variable", ["RHEC_CACHE", "XDG_CACHE_HOME", "HOME"])
 def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expected, variable):
@@ -261,6 +262,22 @@ def load_text(folder):
     return text
 
 
+def test_whatever_makes_a_library_names_it(monkeypatch):
+    given = [(build_increment, ()), (build_increment, (1,)), (build_increment, (), "optimised")]
+    names = [compiled.library_name(*each) for each in (*given, (build_text, ()))]
+    for place, name, other in (
+        (compiled, "FLAGS", ("-O1",)),
+        (compiled, "compiler", lambda: "another"),
+        (compiled, "source_digest", lambda *modules: "another"),
+        (ca, "__version__", "another"),
+        (compiled.platform, "machine", lambda: "another"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, other)
+            names.append(compiled.library_name(build_increment, ()))
+    assert len({*names}) == len(names)
+
+
 BROKEN = {
     "half a library": lambda folder: (folder / "library").write_text("ne"),
     "no library": lambda folder: (folder / "library").unlink(),
@@ -268,6 +285,7 @@ BROKEN = {
     "an empty list": lambda folder: (folder / "content.json").write_text(""),
     "one file more": lambda folder: (folder / "more").touch(),
     "an empty folder": lambda folder: [file.unlink() for file in folder.iterdir()],
+    "a build that was killed": lambda folder: folder.rename(folder.parent / "building-name-dead"),
 }
 
 
@@ -317,21 +335,27 @@ def given_away(path):
     os.chown(path, 65534, -1)
 
 
-NOT_PRIVATE = {f"{mode:o}": lambda path, mode=mode: path.chmod(mode) for mode in (0o720, 0o702)}
-NOT_PRIVATE |= {"of another user": given_away}
+def file_in_its_place(path):
+    shutil.rmtree(path)
+    path.touch()
 
 
-@pytest.mark.parametrize("how", NOT_PRIVATE)
+UNUSED = {f"{mode:o}": lambda path, mode=mode: path.chmod(mode) for mode in (0o720, 0o702)}
+UNUSED |= {"of another user": given_away, "a file": file_in_its_place}
+
+
+@pytest.mark.parametrize("how", UNUSED)
 def test_only_a_cache_that_no_other_can_write_to_is_used(tmp_path, monkeypatch, capsys, how):
     """What lies there was perhaps put there by others."""
     place = tmp_path / "cache"
     monkeypatch.setenv("RHEC_CACHE", str(place))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     assert cache.load_or_build("name", build_text("planted"), load_text) == "planted"
-    NOT_PRIVATE[how](place)
+    UNUSED[how](place)
     assert not cache.contains("name")
     assert cache.load_or_build("name", build_text("own"), load_text) == "own"
-    line = f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since {place} belongs to "
+    line = f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, since "
+    line += "[Errno 17]" if how == "a file" else f"{place} belongs to "
     assert capsys.readouterr().err.startswith(line)
 
 

@@ -8,7 +8,6 @@ import casadi as ca
 import guard_table as table
 import numpy as np
 import pytest
-from helpers import no_compiler
 
 import rhec
 from rhec.core.estimator import noise_level
@@ -133,24 +132,6 @@ def test_they_are_so_as_well_while_the_estimate_itself_moves(speed_mps):
     _, ok = table.run(table.paper_estimators("prediction")["RHE"], drives._replace(z=z))
     for flags, first in zip(ok, drives.first):
         assert flags[first : first + 5].tolist() == [False, False, False, True, True]
-
-
-@pytest.mark.parametrize("unit_m", [0.01, 100.0])
-def test_where_a_window_restarts_does_not_depend_on_the_unit_of_an_output(unit_m):
-    model = rhec.Model(
-        states=("x_m", "v_mps"),
-        inputs=(),
-        f=lambda x, u, p: [x[1], 0],
-        outputs="place",
-        h=lambda x, u, p: x[0] / unit_m,
-    )
-    noise = dict(sigma_v=(0.03 / unit_m,), sigma_w=(0.01, 0.05), sigma_guess=(0.05, 0.05))
-    with no_compiler():
-        live = rhec.RHE(model=model, dt=0.2, horizon=8, guess=(0.0, 1.0), **noise)
-    places = 0.2 * np.arange(20.0)
-    places[10:] += 50.0
-    found = np.array([live.step([place / unit_m]).x[0] for place in places])
-    np.testing.assert_allclose(found[13:], places[13:], rtol=0, atol=0.03)
 
 
 @pytest.mark.parametrize("robot", ["paper, printed", "unicycle"])

@@ -148,13 +148,29 @@ def test_an_estimator_that_rejects_nothing_gives_the_path_each_valid_yaw_rate(ex
     assert commands[0] == commands[1] == commands[2] != commands[3]
 
 
-@pytest.mark.nightly
-def test_times_has_a_row_of_four_phases_for_each_sample_after_the_first(exported, built):
-    machine, objects = built("paper")
-    program = toolchain.program(machine, exported("paper"), "times", objects)
-    printed = toolchain.run(machine, program, exported("paper") / "log.csv").stdout
-    taken = np.loadtxt(printed.splitlines(), delimiter=",", skiprows=2)
-    assert taken.shape == (len(log_of(exported("paper"))) - 1, 4) and (taken >= 0).all()
+# The clock that is read for the nth time shows n² ns.
+CLOCK = """#define _POSIX_C_SOURCE 199309L
+#include <time.h>
+int clock_gettime(clockid_t id, struct timespec *t)
+{
+    static long n;
+    *t = (struct timespec){0, (n + id * 0) * n};
+    n++;
+    return 0;
+}
+"""
+
+
+def test_times_has_a_row_of_four_phases_for_each_sample(exported, built, tmp_path):
+    machine, objects = built("EKF")
+    (tmp_path / "clock.c").write_text(CLOCK)
+    sources = [*objects, tmp_path / "clock.c"]
+    program = toolchain.program(machine, exported("EKF"), "times", sources, QUICKLY)
+    printed = toolchain.run(machine, program, exported("EKF") / "log.csv").stdout
+    taken = np.loadtxt(printed.splitlines(), delimiter=",", skiprows=1)
+    assert taken.shape == (len(log_of(exported("EKF"))), 4)
+    begins = 5 * np.arange(len(taken))[:, None]
+    np.testing.assert_array_equal(taken, 2 * (begins + np.arange(4)) + 1)
 
 
 def test_the_closest_point_equals_path_project():

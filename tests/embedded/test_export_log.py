@@ -87,6 +87,9 @@ def test_the_c_of_a_log_is_what_was_judged(summary, folder, program, tmp_path):
     example = pd.read_csv(folder / "log.csv")
     assert len(example) > 250
     assert_replay_compares(program, example, tmp_path)
+    printed = subprocess.run([program, folder / "log.csv"], capture_output=True, text=True).stdout
+    solved = [line.endswith(",0") for line in printed.splitlines()]
+    assert solved == summary.way["ok"][-len(example) :].tolist()
     # It is the run that was judged, with its standard deviations, from its first position on.
     way = summary.way.dropna(subset=ESTIMATE[0])[-100:]
     hats = [*ESTIMATE, *LEVER_ARM]

@@ -20,7 +20,7 @@ from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import random_for
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
-SHORT = dict(duration_s=40.0, row_length_m=6.0, headland_radius_m=7.0, start_offset_m=0.4)
+SHORT = dict(duration_s=30.0, row_length_m=6.0, headland_radius_m=7.0, start_offset_m=0.4)
 SOFT = dict(mu_mean=0.85, mu_deviation=0.06, kappa_mean=0.8, kappa_deviation=0.1)
 WORLD = rhec.Scenario(**SHORT, **SOFT, turns="left", slip_difference=0.02, start_yaw_rad=0.2)
 LOOPS = {

@@ -179,7 +179,6 @@ def test_without_the_yaw_drift_there_is_no_disturbance():
 @pytest.mark.parametrize(
     "options",
     [
-        dict(speed_model="parameter"),
         dict(speed_model="parameter", yaw_drift=True),
         dict(speed_model="input", yaw_drift=True),
         dict(speed_model="slipping"),

@@ -188,7 +188,7 @@ class InnovationGate:
             usual = noise_level.USUAL | dict(rejected=0, missing=0, in_line=0)
             before |= {key: ca.if_else(is_clean, each, before[key]) for key, each in usual.items()}
             seen = self._compared(window, before, noise, predictions, z_N, v, iteration, is_clean)
-            run = self._run(window, before, noise, seen, z_N)
+            run = self._run(window, before, noise, seen, z_N, P_0)
             m, P = new_start.anew(window, outputs, run.s, seen.at_kept.P, run.y, z_N, m_0, P_0)
             # The chances: as measured, with the inputs that are kept, by a noise that has grown,
             # without its outputs.
@@ -266,7 +266,7 @@ class InnovationGate:
             is_clean=is_clean,
         )
 
-    def _run(self, window, before, noise, seen, z_N):
+    def _run(self, window, before, noise, seen, z_N, P_0):
         """The _Run of rejected samples with this one, if it is not used."""
         outputs = self.outputs(window)
         # m_N knows nothing of bounds; s_N follows from the last solution, which does.
@@ -289,7 +289,7 @@ class InnovationGate:
             is_there *= restart * (seen.d > seen.limit)
             y = ca.if_else(is_there, new_start.innovation(outputs, z_N, opposite, opposite), y)
             s_N = ca.if_else(is_there, opposite, s_N)
-        restart *= new_start.fits(window, outputs, s, s_N, z_N, y)
+        restart *= new_start.fits(window, outputs, s, s_N, z_N, y, P_0)
         is_louder = is_noisy * ca.logic_or(is_noisier, restart)
         return _Run(
             counted=counted,

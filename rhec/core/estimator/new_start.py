@@ -1,9 +1,9 @@
 """Where the window of an RHE starts anew: at its newest sample.
 
 That sample is then the only one of the window, and its arrival cost is the prediction, with more
-variance: that of the start, and y² in the direction of each output, for its innovation y. Bounded
-parameters begin anew from their first guess, because the wrong estimate may have driven them to a
-bound at which they stay. A window that is thought to be turned round is turned (`half_turn`).
+variance: that of the start, and y² in the direction of each output, for its innovation y; a state
+that was less known then moves farther. Bounded parameters begin anew from their first guess, as a
+wrong estimate may have driven them to a bound. A window that seems turned is turned (`half_turn`).
 
 One Gauss-Newton step through a window that began far from the truth may lead anywhere. So until
 some good samples followed each other the window has to settle: each sample is the only one of the
@@ -97,25 +97,25 @@ def anew(window, outputs, s_N, P, y, z, m_0, P_0):
             m[place] = m_0[place]
             P[place, :] = 0
             P[:, place] = 0
-    away = ca.sum2(_moves(outputs, s_N, z, y) ** 2)
+    away = ca.sum2(_moves(outputs, s_N, z, y, P_0) ** 2)
     return m, P + ca.diag(P_0 + ca.fmin(away, _MAX_VARIANCE))
 
 
-def _moves(outputs, s_bar, z, y):
-    """By how much each output's innovation moves the state, (n_s, n_y): the shortest way."""
+def _moves(outputs, s_bar, z, y, P_0):
+    """How each output's innovation moves the state, (n_s, n_y): the shortest way by P_0's units."""
     columns = [ca.DM(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
-        H = output.slope(s_bar, z)
-        columns.append(H.T * y[k] / ca.fmax(ca.sumsqr(H), TINY))
+        H = output.slope(s_bar, z).T
+        way = ca.fmax(P_0, TINY**0.5) * H
+        columns.append(way / ca.fmax(ca.dot(H, way), TINY) * y[k])
     return ca.horzcat(*columns)
 
 
-def fits(window, outputs, m, s_bar, z, y):
+def fits(window, outputs, m, s_bar, z, y, P_0):
     """Whether what is measured lies within the bounds of states; a window cannot start beyond."""
-    measured = m + ca.sum2(_moves(outputs, s_bar, z, y))
-    names = window.model.joint_names
+    measured = m + ca.sum2(_moves(outputs, s_bar, z, y, P_0))
     fits = ca.SX(1)
     for name, (lower, upper) in (window.model.state_bounds or {}).items():
-        place = names.index(name)
+        place = window.model.joint_names.index(name)
         fits *= (lower <= measured[place]) * (measured[place] <= upper)
     return fits
