@@ -147,6 +147,7 @@ def test_metrics_are_what_the_log_says(changes):
     def rms(hat, true):
         return np.sqrt(np.mean((after[hat] - after[true]) ** 2))
 
+    violations = [sum(straight[name] > 0.12) for name in ("error_m", "error_true_m")]
     expected = dict(
         settling_time_s=log["t_s"][arrivals[0]] if arrivals else np.nan,
         mean_error_m=after["error_m"].mean(),
@@ -157,8 +158,8 @@ def test_metrics_are_what_the_log_says(changes):
         mean_error_from_start_m=log["error_m"].mean(),
         overshoot_m=max(0, beyond.max()),
         omega_peak_radps=log["omega_cmd_radps"].abs().max(),
-        violations=sum(straight["error_m"] > 0.12),
-        violations_true=sum(straight["error_true_m"] > 0.12),
+        violations=violations[False],
+        violations_true=violations[True],
         rms_mu=rms("mu_hat", "mu"),
         rms_kappa=rms("kappa_hat", "kappa"),
         rms_yaw_rad=rms("theta_hat_rad", "theta_rad"),
@@ -170,6 +171,7 @@ def test_metrics_are_what_the_log_says(changes):
     outside = straight["t_s"][straight["error_true_m"] > 0.12]
     said = "stayed in its row" if outside.empty else f"first at {outside.iloc[0]:.1f} s"
     assert (said if arrivals else "never came to stay in its row") in repr(run)
+    assert f": {violations[True]} violations, {violations[False]} by GNSS\n" in repr(run)
 
 
 # What the loop does
@@ -184,6 +186,15 @@ def test_a_first_guess_that_is_true_stays_true_without_noise_and_slip(backwards)
     np.testing.assert_allclose(log[ESTIMATE], log[true], atol=1e-3)
     assert log["error_true_m"].max() < 0.05 and log["s_m"].iloc[-1] > 25
     assert ((log["nu_mps"] < 0) == backwards).all()
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_start_is_told_to_the_left_of_the_path(backwards):
+    """The first row of paths goes along x; backwards it is driven tail first."""
+    start = dict(start_offset_m=0.4, start_yaw_rad=0.3)
+    log = simulated(**QUIET | start, backwards=backwards, duration_s=1.0).log
+    turned = 0.3 + np.pi * backwards
+    np.testing.assert_allclose(log.loc[0, ["x_m", "y_m", "theta_rad"]], [0, 0.4, turned])
 
 
 def test_a_delayed_command_is_the_one_before():

@@ -1,6 +1,7 @@
 """A scenario is validated strictly: bad input is answered by one sentence that names it."""
 
 import dataclasses
+import re
 import itertools
 import math
 
@@ -112,6 +113,25 @@ def test_numpy_scalars_are_numbers_and_replacing_one_validates_it():
     assert dataclasses.replace(scenario, seed=4).seed == 4
     with pytest.raises(ValueError, match="^seed was -4; "):
         dataclasses.replace(scenario, seed=-4)
+
+
+def is_taken(name, value):
+    try:
+        return bool(rhec.Scenario(**{name: value}))
+    except ValueError:
+        return False
+
+
+def test_help_says_above_a_limit_where_the_limit_itself_is_refused():
+    docstring = " ".join(rhec.Scenario.__doc__.split())
+    said = {}
+    for name, field in DESCRIBED.items():
+        entry = docstring.split(f" {name}: ")[1].split(". ")[0]
+        limit = re.search(r", (above|at least) ([-\d.]+)$", entry)
+        if limit and isinstance(getattr(rhec.Scenario(), name), int | float):
+            said[name] = limit[1]
+            assert is_taken(name, type(field.lowest)(limit[2])) == (limit[1] == "at least"), name
+    assert {*said.values()} == {"above", "at least"} and len(said) > 10
 
 
 def test_help_and_table_describe_every_parameter():
