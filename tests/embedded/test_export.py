@@ -470,6 +470,7 @@ def test_an_export_tells_of_an_own_estimator_and_path_what_they_compute(tmp_path
         folder = rhec.export(scenario, tmp_path / "own", estimator_only=True)
     assert len(log_of(folder)) == 60.0 / paper.DT_S  # the example is not longer
     told = json.loads((folder / "scenario.json").read_text())
+    assert told["duration_s"] == 70.0
     given = np.arange(own.numel_in(0)), [1.0, 2.0, 0.5, 0.1]
     for one, other in zip(ca.Function.deserialize(told["estimator"]["step"])(*given), own(*given)):
         np.testing.assert_array_equal(one, other)

@@ -703,6 +703,16 @@ def test_sliders_of_noise_show_the_noise_in_use(made):
         assert getattr(own.runs[0].scenario, name) == shown[name]
 
 
+def test_a_choice_with_the_name_of_a_value_is_that_value(made):
+    for name, control in made.inputs.items():
+        options = [*getattr(control, "options", ())]
+        values = [value for _, value in options]
+        for label, value in options:
+            named = label.replace(" ", "_")
+            assert value == named or named not in values, (name, label)
+    assert dict(made.inputs["turns"].options)["to alternate sides"] == "alternate"
+
+
 def test_the_map_shows_the_whole_path_of_every_pattern_of_turns(made):
     """There is room for the ring around a place on it, and for new patches beside all of it."""
     across = {slider.key: slider for slider in controls.PATCH}

@@ -29,7 +29,7 @@ def log():
         u=u,
         x_hat=x + (0.03, -0.04, 0.0) + early,
         p_hat=slips + (0.02, -0.04) + early,
-        sigma=np.full((N, 5), 0.1),
+        sigma=np.tile([9.0, 9.0, 9.0, 0.1, 0.2], (N, 1)),  # of the pose, then of the slips
         slips=slips,
     )
 
@@ -58,7 +58,7 @@ def test_estimates_have_two_sigma_within_their_bounds_and_commands_are_held(log)
         np.testing.assert_array_equal(middle.get_ydata(), log["p_hat"][:, k])
         assert [line.get_ydata()[0] for line in bounds] == [*(limits_ or ())]
         band = axes.collections[0].get_paths()[0].vertices[:, 1]
-        ends = log["p_hat"][:, k] + 0.2 * np.array([[-1], [1]])
+        ends = log["p_hat"][:, k] + 2 * log["sigma"][:, 3 + k] * [[-1], [1]]
         low, high = np.clip(ends, *limits_ or (None, None))
         assert (band.min(), band.max()) == pytest.approx((low.min(), high.max()))
     assert [text.get_text() for text in figure.legends[0].texts] == ["2 σ", "truth", "RHE"]
