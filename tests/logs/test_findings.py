@@ -374,7 +374,7 @@ LIMITS = {
         21,
     ),
     "positions that repeat": (lambda n: LOG.assign(x_m=1.0, y_m=1.0)[:n], "never change", 5, 6),
-    "rows, clockwise": (lambda n: times(-1, W)[:n], "counted clockwise", 238, 245),
+    "rows, clockwise": (lambda n: times(-1, W)[:n], "clockwise|go only", 238, 245),
     "rows, late": (lambda n: late(LOG, 4)[:n], "later than speed_mps", 590, 630),
     "times repeat": (repeated, ": 1% of the rows have times", 0.0095, 0.012),
     "a spike [m/s]": (lambda v: change(T == 70, speed_mps=SPEED - v), "1 values of sp", 0.95, 1.05),
