@@ -113,18 +113,21 @@ def test_lanes_are_compiled_for_each_loop_of_many_runs(monkeypatch):
 
 
 def test_a_run_that_fails_leaves_the_others_in_their_lanes(always, monkeypatch):
-    """So does one whose QP solver's C is no C++ for lanes."""
+    """So does one whose QP solver's C is no C++ for lanes, and one that is too long for memory."""
+    monkeypatch.setattr(batch, "_MAX_SAMPLES_IN_MEMORY", 8 * batch.count_samples(SMALL))
     good = [*unlike(SMALL)][:2]
     others = [
         dataclasses.replace(SMALL, path=untraceable()),
         dataclasses.replace(SMALL, controller=controller(SMALL, "daqp")),
+        dataclasses.replace(SMALL, duration_s=5 * SMALL.duration_s),
     ]
     alone = []
     simulate = campaigns.simulate
     monkeypatch.setattr(campaigns, "simulate", lambda each: alone.append(each) or simulate(each))
     table = rhec.campaign([good[0], *others, good[1]], workers=1)
-    assert list(table["error"] == "") == [True, False, True, True] and alone == others
-    assert_rows_of_simulate(table[::3], good)
+    assert list(table["error"] == "") == [True, False, True, True, True]
+    assert len(alone) == 3 and all(each in alone for each in others)
+    assert_rows_of_simulate(table[::4], good)
 
 
 def build_wrong_loop(*structure):
