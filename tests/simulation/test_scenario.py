@@ -1,9 +1,9 @@
 """A scenario is validated strictly: bad input is answered by one sentence that names it."""
 
 import dataclasses
-import re
 import itertools
 import math
+import re
 
 import casadi as ca
 import numpy as np
