@@ -217,3 +217,5 @@ def test_table_1_is_the_papers_form_in_milliseconds():
     assert list(ours.loc[("RHE", "overall")]) == [0.46, 0.57, 0.68]
     for place, expected in paper.TABLE_1_MS.items():
         assert list(papers.loc[place]) == pytest.approx(expected)
+    skewed = timing.table(np.array([[1.0, 2.0, 3.0, 4.0]] * 2 + [[9.0, 9.0, 9.0, 9.0]]))
+    assert timing.feedback_over_preparation(skewed)["ratio"].to_dict() == dict(RHE=2, RHC=4 / 3)

@@ -174,6 +174,24 @@ def test_the_runner_refuses_what_the_notebook_itself_uses_and_what_is_no_noteboo
         assert refusal.value.code == 2 and capsys.readouterr().err.startswith(sentence)
 
 
+def test_an_executed_notebook_goes_where_make_looks_and_one_with_other_values_beside_it(
+    monkeypatch, capsys
+):
+    ran = []
+    monkeypatch.setattr(notebook, "run", lambda *given: ran.append(given))
+    for words in (
+        ["notebooks/further/faults.ipynb"],
+        ["notebooks/02_equations.ipynb", "-p", "n", "3"],
+    ):
+        monkeypatch.setattr(sys, "argv", ["notebook", *words])
+        notebook.main()
+    folder = ROOT / "build/notebooks"
+    assert [given[1:] for given in ran] == [
+        ({}, folder / "further/faults.ipynb"),
+        ({"n": 3}, folder / "02_equations-custom.ipynb"),
+    ]
+
+
 def test_every_notebook_is_made_by_make():
     makefile = (ROOT / "Makefile").read_text().replace("\\\n", " ")
     names = " ".join(re.findall("^(?:FIGURES|STUDIES) := (.*)$", makefile, re.M)).split()

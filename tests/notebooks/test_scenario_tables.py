@@ -99,13 +99,16 @@ def test_numbers_and_differences_have_a_minus_and_words_keep_their_hyphens():
     text = "-0.3 [-1.2, -3e-05] on 2024-07-29, left-right, x - y"
     assert tables.with_minus(text) == "−0.3 [−1.2, −3e−05] on 2024-07-29, left-right, x − y"
     assert tables.three_digits(-1234.5) == "−1234" and tables.signed(0.5) == "+0.500"
+    assert tables.interval_text(1.0, 1.0, 1.0) == "1.00"  # which has no width
 
 
 def test_a_readable_table_has_a_column_a_variant_and_the_papers_after_them():
     names = ["process_noise", "estimator", "quantity", "mean", "low", "high", "paper", "verdict"]
     rows = [("printed", "RHE", "error", 0.04, 0.03, 0.05, 0.0423, "met")]
     rows += [("printed", "EKF", "error", 1.0, 0.9, 1.1, 0.0514, np.nan)]
-    (row,) = tables.readable(pd.DataFrame(rows, columns=names)).to_dict("records")
+    table = pd.DataFrame(rows, columns=names)
+    (row,) = tables.readable(table).to_dict("records")
+    assert tables.readable(table, transposed=True)["error"].to_dict() == row
     assert row == {
         "printed, RHE": "0.0400 [0.0300, 0.0500] (met)",
         "printed, EKF": "1.00 [0.900, 1.10]",

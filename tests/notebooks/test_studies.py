@@ -3,12 +3,13 @@
 import subprocess
 from concurrent.futures import BrokenExecutor, Executor, Future
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import rhec
 from notebooks.further import consistency, faults, recorded_logs, transfer, unknowns
-from notebooks.studies import interpretations, order, order_in_worlds, tables, toolchain
+from notebooks.studies import interpretations, order, order_in_worlds, parallel, tables, toolchain
 from notebooks.studies.parallel import map_runs
 from rhec import style
 from rhec.simulation.campaigns import campaign, workers
@@ -80,6 +81,12 @@ def test_a_scenario_that_kills_its_workers_is_named(monkeypatch):
     with pytest.raises(RuntimeError, match="every worker that ran scenario 1 died"):
         map_runs(_error, scenarios)
     assert map_runs(_error, scenarios[:1]) == [_error(rhec.simulate(scenarios[0]))]
+
+
+def test_the_true_error_of_a_robot_that_is_lost_is_infinite(monkeypatch):
+    rows = pd.DataFrame(dict(mean_error_true_m=[0.1, np.nan]))
+    monkeypatch.setattr(parallel, "drive", lambda groups, workers: dict.fromkeys(groups, rows))
+    assert [*parallel.true_errors(dict(one=[]))["one"]] == [0.1, np.inf]
 
 
 def _error(run):
