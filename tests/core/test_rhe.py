@@ -51,6 +51,16 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
     assert 4 <= bounded < 12
 
 
+def test_the_first_estimate_knows_the_yaw_as_a_guess_or_a_sensor_does_and_else_not_at_all():
+    z = [1.0, 2.0, 0.5, 0.0]
+    alone = feed(rhec.RHE(), [z])[0]
+    guessed = feed(rhec.RHE(guess=GUESS), [z])[0]
+    with_heading = feed(rhec.RHE(sensors=("heading",)), [[*z, 2.0]])[0]
+    sigmas = [each.covariance[2, 2] ** 0.5 for each in (alone, guessed, with_heading)]
+    assert sigmas[0] >= np.pi / 2 > 10 * sigmas[1] > 20 * sigmas[2]
+    assert with_heading.theta == pytest.approx(2.0, abs=1e-3)
+
+
 def test_without_a_guess_it_begins_at_the_first_position_that_can_be():
     (estimate,) = feed(rhec.RHE(), [(500.0, -300.0, 0.4, 0.0)])
     assert isinstance(estimate, Estimate)
