@@ -2,6 +2,7 @@
 makes it fail; its report.
 """
 
+import collections
 import dataclasses
 import functools
 import json
@@ -461,6 +462,17 @@ def test_export_is_reproducible_and_tells_of_every_field(exported, tmp_path):
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
     assert rhec.Scenario(**values) == PAPER
     assert {*fields} == {field.name for field in dataclasses.fields(rhec.Scenario)}
+
+
+def test_a_readme_counts_each_phase_in_the_preparation_or_in_the_feedback(exported):
+    readme = " ".join((exported("paper") / "README.txt").read_text().split())
+    said = r"(\d+) scalar operations to prepare, and (\d+) from the measurement on"
+    preparing, feeding = map(int, re.search(said, readme).groups())
+    counts = collections.Counter()
+    for name, phase in exported_functions.export(PAPER).phases.items():
+        is_prepared = name.endswith(("expand", "shift", "linearise"))
+        counts[is_prepared] += exported_functions.operations(phase.function)
+    assert (preparing, feeding) == (counts[True], counts[False])
 
 
 def test_an_export_tells_of_an_own_estimator_and_path_what_they_compute(tmp_path):
