@@ -469,7 +469,7 @@ def test_a_readme_counts_each_phase_in_the_preparation_or_in_the_feedback(export
     said = r"(\d+) scalar operations to prepare, and (\d+) from the measurement on"
     preparing, feeding = map(int, re.search(said, readme).groups())
     counts = collections.Counter()
-    for name, phase in exported_functions.export(PAPER).phases.items():
+    for name, phase in exported_functions.export(PAPER, False).phases.items():
         is_prepared = name.endswith(("expand", "shift", "linearise"))
         counts[is_prepared] += exported_functions.operations(phase.function)
     assert (preparing, feeding) == (counts[True], counts[False])
