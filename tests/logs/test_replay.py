@@ -80,10 +80,14 @@ def test_the_live_estimator_agrees():
     )
     z = samples[MEASUREMENTS].to_numpy()
     live = rhec.RHE(**fields, guess=(*z[0, :2], 0.4, z[0, 2], 1.0, 1.0))
+    sigmas = ["sigma_x_m", "sigma_y_m", "sigma_theta_rad", "sigma_mu", "sigma_kappa"]
     for k in range(len(z)):
         live.prepare()
         estimate = live.feedback(z[k])
         np.testing.assert_allclose(estimate[:6], samples[ESTIMATE].iloc[k], atol=1e-8)
+        sigma = dict(zip(sigmas, np.sqrt(np.diag(estimate.covariance)), strict=True))
+        assert sigma == pytest.approx(dict(samples[sigmas].iloc[k]), rel=1e-6)
+    assert sigma["sigma_kappa"] > 1.1 * sigma["sigma_mu"]  # so that no two are alike
 
 
 def test_an_estimator_of_ones_own():
