@@ -108,3 +108,11 @@ def test_each_cell_of_a_table_begins_with_the_number_of_its_result(name):
         shown = re.match(r"[−\d.e]*", table.loc[row, column])[0].replace("−", "-")
         precision = dict(abs=6e-4) if name == "worth" else dict(rel=6e-3)
         assert float(shown or "nan") == pytest.approx(number, nan_ok=True, **precision)
+
+
+def test_a_number_of_the_ledger_has_its_unit_if_it_has_one():
+    here = tables()["ledger"]["here"]
+    claims = result("claims").dropna(subset=["value", "unit"]).set_index("id")
+    for id_, unit in claims["unit"].items():
+        assert here[id_].endswith(f" {unit}") == (unit not in ("-", "ratio")), id_
+    assert {"-", "ratio", "m"} <= {*claims["unit"]}

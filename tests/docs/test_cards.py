@@ -57,6 +57,10 @@ def test_each_claim_has_a_card_with_all_that_the_ledger_says(page):
         assert [part for part in said if " ".join(part.split()) not in text] == []
         has_unit = f"the paper{row['paper']} {row['unit']}" in text
         assert not (has_unit and row["unit"].startswith("share"))
+        for prefix in ("", "other_"):
+            if condition := row[f"{prefix}condition"]:
+                number = interval_text(*(row[f"{prefix}{of}"] for of in ("value", "low", "high")))
+                assert f"here, {condition}{number}" in text
         picture = all_cards[row["id"]].svg
         assert bool(picture) == (row["value"] != "")
         if picture:  # in words, for who does not see it

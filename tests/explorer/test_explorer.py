@@ -458,6 +458,7 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
     first = np.array([left, bottom]) + cell_m / 2
     np.testing.assert_allclose(first, made.runs[0].terrain.origin_m)
     np.testing.assert_allclose(cell_m, made.runs[0].terrain.cell_m)
+    assert image.origin == "lower"  # the first row is at the bottom
 
 
 def test_each_panel_shows_nearly_all_of_its_lines_with_their_bounds():
