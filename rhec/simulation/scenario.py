@@ -106,7 +106,8 @@ class Scenario:
         options.SigmaGyro | None,
         of_estimator(
             """Noise of the gyro that the estimator assumes, standard deviations: constant, and
-            as a share of the yaw rate of the tracks.""",
+            as a share of the yaw rate of the tracks. The share counts for the speed model
+            "slipping" alone.""",
             unit="rad/s",
         ),
     ] = None

@@ -174,6 +174,37 @@ def test_a_gyro_bias_walks_as_far_in_two_short_samples_as_in_a_long_one(speed_mo
     assert variance(0.2) == pytest.approx(2 * variance(0.1), rel=1e-12)
 
 
+def of_a_circle(omega_radps, sigma_gyro, speed_model):
+    """Estimates and variances after 10 s on a circle by perfect sensors."""
+    rhe = rhec.RHE(
+        guess=(0, 0, 0, 0.5, 1, 1),
+        speed_model=speed_model,
+        sensors=("gyro",),
+        sigma_gyro=sigma_gyro,
+    )
+    half = paper.DT_S * omega_radps / 2
+    at = 0j
+    for k in range(50):
+        rhe.prepare()
+        estimate = rhe.feedback((at.real, at.imag, 0.5, omega_radps, omega_radps))
+        at += 0.5 * paper.DT_S * np.sinc(half / np.pi) * np.exp(1j * (2 * k + 1) * half)
+    return np.array(estimate[:6]), np.diag(estimate.covariance)
+
+
+@pytest.mark.parametrize("omega_radps", [0.3, -0.1])
+def test_noise_of_a_gyro_in_proportion_to_a_constant_yaw_rate_is_constant_noise(omega_radps):
+    """Where tracks slip; other speed models have the constant part alone, as Scenario says."""
+    sigma, share = 0.01, 0.2
+    alike = dict(slipping=(np.hypot(sigma, share * omega_radps), 0.0), parameter=(sigma, 0.0))
+    for speed_model, constant in alike.items():
+        two = (of_a_circle(omega_radps, each, speed_model) for each in ((sigma, share), constant))
+        (one, of_one), (other, of_other) = two
+        np.testing.assert_allclose(one, other, atol=1e-9)
+        np.testing.assert_allclose(
+            of_one[[0, 1, 2, -2, -1]], of_other[[0, 1, 2, -2, -1]], rtol=1e-6
+        )
+
+
 def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():
     """F(s, v) = F(s, v̄) + B (v - v̄), and its slopes are those at v̄, without slip."""
     of_robot = interval(SLIPPING.model)
