@@ -172,6 +172,8 @@ def test_metrics_are_what_the_log_says(changes):
     said = "stayed in its row" if outside.empty else f"first at {outside.iloc[0]:.1f} s"
     assert (said if arrivals else "never came to stay in its row") in repr(run)
     assert f": {violations[True]} violations, {violations[False]} by GNSS\n" in repr(run)
+    means_m = (after[name].mean() for name in ("error_m", "error_true_m"))
+    assert "mean error {:.4f} m, true {:.4f} m\n".format(*means_m) in repr(run)
 
 
 # What the loop does

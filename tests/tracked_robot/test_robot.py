@@ -7,6 +7,7 @@ from helpers import SIMPLE_WORLD, no_compiler
 from oracles import DT
 
 import rhec
+from rhec import paper
 from rhec.core.model.robot_model import interval
 from rhec.tracked_robot import plant
 from rhec.tracked_robot.paper_rhe import settings_of
