@@ -410,7 +410,7 @@ def running_median(values, half=12):
 
 def test_what_is_drawn_are_the_columns_of_the_runs(made):
     made.pin.click()
-    made.inputs["r"].value = 20.0
+    made.inputs["omega_max_radps"].value = 0.25
     (_, *series), panels = field_run._SERIES, drawn(made)
     for run in (*made.runs, *made.pinned):
         for panel, x, y, look, _ in series:
@@ -425,6 +425,8 @@ def test_what_is_drawn_are_the_columns_of_the_runs(made):
         ("of EKF", True),
         ("", False),
     ]
+    levels = [{*y} for *_, y in panels["yaw_rate"] if len(y) == 2]
+    assert {-0.25} in levels and {0.25} in levels  # the bounds of the first run
     labels = {mark["label"] for mark, *_ in panels["map"]} - {"", "path, and bounds"}
     assert labels == {"RHE", "EKF", "pinned RHE", "pinned EKF"}
     # The figure that is saved has the same lines and dots, in points of 4/3 pixels.
