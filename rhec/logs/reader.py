@@ -90,6 +90,8 @@ def read(
     """
     given = (columns or {}, topics, wheel_radius_m)
     if isinstance(path, list | tuple):
+        if not path:
+            raise ValueError(f"log was {path!r}; it should be a path, or a list of several")
         log = _together([_read_file(each, *given, is_whole=False) for each in path])
         absent = [name for name in columns or {} if name not in log]
         if absent:

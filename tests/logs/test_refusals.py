@@ -135,7 +135,7 @@ def test_files_that_are_none(tmp_path, monkeypatch):
     for name, (content, told) in contents.items():
         (tmp_path / name).write_bytes(content)
         rows.append(((tmp_path / name,), f"log was …cannot be read: {told}"))
-    rows += [((path,), "log was …it should be a path") for path in (5, None, b"log.csv")]
+    rows += [((path,), "log was …it should be a path") for path in (5, None, b"log.csv", [], ())]
     (tmp_path / "log.doc").write_bytes(b"t_s")
     existing = "log was …it should be an existing .csv, .txt, .dat, .tsv, .parquet, .bag, .db3, .mc"
     rows += [((tmp_path / "log.doc",), existing), ((tmp_path / "none.csv",), existing)]
