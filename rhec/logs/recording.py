@@ -384,9 +384,9 @@ def _drop_spikes(values, name):
     segments, numbers = (values[each].to_numpy() for each in ("segment", name))
     there = np.flatnonzero(np.isfinite(numbers))
     there = there[np.argsort(segments[there], kind="stable")]
-    step = np.where(np.diff(segments[there]) == 0, np.diff(numbers[there]), np.nan)
-    before = np.append(np.nan, step)
-    after = np.append(-step, np.nan)
+    is_next = np.diff(segments[there], prepend=np.nan) == 0
+    before = np.where(is_next, np.diff(numbers[there], prepend=np.nan), np.nan)
+    after = -np.append(before[1:], before[:1])  # nothing is before the first, nor after the last
     is_spike = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > _SPIKE)
     values.loc[values.index[there[is_spike]], name] = np.nan
     return int(is_spike.sum())

@@ -40,6 +40,10 @@ def test_a_log_that_cannot_be_replayed():
             "the log had no column t_s, speed_mps;…or give track_width_m",
         ),
         (LOG.assign(t_s=np.nan), "the log's column t_s had no number"),
+        (
+            LOG.iloc[:, :5].assign(speed_mps=np.where(np.arange(len(LOG)) < 3, 1e9, np.nan)),
+            "the log's positions…(from nan to nan s) have no time in common",
+        ),
         (FOREIGN, "the log had no…it has t_s, Easting [m], northing, vel, gyro, v_left_mps"),
         (FOREIGN, "the log had no…did you mean columns={'x_m': 'Easting [m]', 'y_m': 'northing'}"),
         (FOREIGN.drop(columns="v_left_mps"), "the log had no…northing', 'speed_mps': 'vel'} of rh"),

@@ -242,7 +242,8 @@ def logs(draw):
     return log.assign(t_s=0.2 * np.arange(rows)) if draw(st.booleans()) else log
 
 
-@pytest.mark.filterwarnings("ignore:The yaw is not known")
+@pytest.mark.filterwarnings("ignore:The yaw is not known", "ignore:.* left out, because")
+@pytest.mark.filterwarnings("ignore:the log's")  # what `doctor` warns of
 @some(150)
 @given(
     logs() | junk,
