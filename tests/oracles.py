@@ -236,7 +236,8 @@ def kalman(m, P, samples):
         S = H @ P @ H.T + np.diag(np.square(sigma_v)[seen])
         K = P @ H.T @ np.linalg.inv(S)
         off = np.array(z)[seen] - H @ m
-        m, P = m + K @ off, P - K @ H @ P
+        m = m + K @ off
+        P = P - K @ H @ P
         yield m, P, off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1]
 
 
@@ -256,8 +257,10 @@ def kalman_filter(z, guess, sigma_guess, sigma_v, sigma_w, leaving, dt=DT):
     """
     (A, B), H = cart_matrices(dt), np.array([[1.0, 0, 0, 0]])
     # With the input as the last state.
-    F, G = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]]), np.vstack([B, [[1.0]]])
-    Q, W = G @ G.T * sigma_v[1] ** 2, np.diag([*np.square(sigma_w), 0.0])
+    F = np.block([[A, np.zeros((3, 1))], [np.zeros((1, 4))]])
+    G = np.vstack([B, [[1.0]]])
+    Q = G @ G.T * sigma_v[1] ** 2
+    W = np.diag([*np.square(sigma_w), 0.0])
     samples = [
         (F, G[:, 0] * acceleration, Q + W * (i <= leaving), H, sigma_v[:1], [position])
         for i, (position, acceleration) in enumerate(z)

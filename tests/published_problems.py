@@ -251,7 +251,8 @@ def kalman_filter(problem, z):
     A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
     B = step([0, 0], 1, []).full().ravel()
     sigma_z, sigma_u = problem.options["sigma_v"]
-    Q, H = sigma_u**2 * np.outer(B, B), np.eye(2)[:1]
+    Q = sigma_u**2 * np.outer(B, B)
+    H = np.eye(2)[:1]
     samples = [(A, B * force, Q, H, [sigma_z], [position]) for position, force in z]
     P = np.diag(problem.options["sigma_guess"]) ** 2
     return np.array([m for m, *_ in kalman(problem.options["guess"], P, samples)])

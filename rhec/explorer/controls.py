@@ -238,10 +238,12 @@ def scenario_of(values, estimator, start):
     elif rule == tuning.DEFAULT_RULE:
         settings["process_noise"] = None
     if rule == "custom":
-        is_others = start.sigma_w and _names_of_w(settings) != _names_of_w(vars(start))
-        is_touched = is_others or settings["sigma_w"] != sigma_w_shown(start)
-        own_w = _sigma_w_for_estimator(settings, start)
-        settings["sigma_w"] = own_w if is_touched else start.sigma_w
+        has_other_states = _names_of_w(settings) != _names_of_w(vars(start))
+        is_moved = settings["sigma_w"] != sigma_w_shown(start)
+        if is_moved or (start.sigma_w and has_other_states):
+            settings["sigma_w"] = _sigma_w_for_estimator(settings, start)
+        else:
+            settings["sigma_w"] = start.sigma_w
         if settings["sigma_v"] == tuning.sigma_v_of(start):
             settings["sigma_v"] = start.sigma_v
     else:

@@ -255,17 +255,21 @@ def compare(intervals, delay_s):
 def _motion(rows):
     """The _Motion of a log; None if it is too short."""
     tracks = tracks_of(rows)
-    # Where positions are sparse only the longer ones are enough.
-    usable = [each for each in (intervals_of(tracks, s) for s in LENGTHS_S) if compare(each, 0.0)]
-    if not usable:
-        return None
-    for intervals in usable:
-        compared = (compare(intervals, delay_s) for delay_s in _DELAYS_S)
+    usable = None
+    for length_s in LENGTHS_S:
+        intervals = intervals_of(tracks, length_s)
+        # Where positions are sparse, only longer intervals are enough of them.
+        if compare(intervals, 0.0) is None:
+            continue
+        usable = intervals
+        compared = (compare(usable, delay_s) for delay_s in _DELAYS_S)
         shares, losses = zip(*((each.share, each.unexplained) for each in compared))
         if max(shares) > _CLEAR_SHARE:
             break
+    if usable is None:
+        return None
     delay_s, sigma_s = minimum.least(_DELAYS_S, np.array(losses))
-    in_time, late = (compare(intervals, each).slopes for each in (0.0, delay_s))
+    in_time, late = (compare(usable, each).slopes for each in (0.0, delay_s))
     return _Motion(delay_s, sigma_s, in_time, late)
 
 

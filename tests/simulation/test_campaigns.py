@@ -216,7 +216,8 @@ def test_an_interrupted_campaign_goes_on(tmp_path, monkeypatch, one_by_one):
 
 
 def test_rows_are_kept_by_all_that_changes_bits(tmp_path, ran, monkeypatch):
-    here, real = store.provenance(), compiled.compiler()
+    here = store.provenance()
+    real = compiled.compiler()
     processor = tmp_path / "processor"
     processor.write_text("flags\t\t: fpu avx2\n")
     version = store.importlib.metadata.version

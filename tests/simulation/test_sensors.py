@@ -153,7 +153,8 @@ def test_of_a_recorded_gyro_a_number_is_used_that_is_new_and_not_absurd():
     """New is what differs from the last number, however long ago that came."""
     rng = np.random.default_rng(0)
     measured = rng.choice([0.1, 0.2, -0.2, 50.0, np.nan], 300)
-    expected, last = [], None
+    expected = []
+    last = None
     for value in measured:
         expected.append(bool(abs(value) < 1 and value != last))
         last = last if np.isnan(value) else value

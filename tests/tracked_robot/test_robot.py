@@ -7,7 +7,6 @@ from helpers import SIMPLE_WORLD, no_compiler
 from oracles import DT
 
 import rhec
-from rhec import paper
 from rhec.core.model.robot_model import interval
 from rhec.tracked_robot import plant
 from rhec.tracked_robot.paper_rhe import settings_of
@@ -183,12 +182,12 @@ def of_a_circle(omega_radps, sigma_gyro, speed_model):
         sensors=("gyro",),
         sigma_gyro=sigma_gyro,
     )
-    half = paper.DT_S * omega_radps / 2
+    half = DT * omega_radps / 2
     at = 0j
     for k in range(50):
         rhe.prepare()
         estimate = rhe.feedback((at.real, at.imag, 0.5, omega_radps, omega_radps))
-        at += 0.5 * paper.DT_S * np.sinc(half / np.pi) * np.exp(1j * (2 * k + 1) * half)
+        at += 0.5 * DT * np.sinc(half / np.pi) * np.exp(1j * (2 * k + 1) * half)
     return np.array(estimate[:6]), np.diag(estimate.covariance)
 
 
@@ -198,8 +197,8 @@ def test_noise_of_a_gyro_in_proportion_to_a_constant_yaw_rate_is_constant_noise(
     sigma, share = 0.01, 0.2
     alike = dict(slipping=(np.hypot(sigma, share * omega_radps), 0.0), parameter=(sigma, 0.0))
     for speed_model, constant in alike.items():
-        two = (of_a_circle(omega_radps, each, speed_model) for each in ((sigma, share), constant))
-        (one, of_one), (other, of_other) = two
+        one, of_one = of_a_circle(omega_radps, (sigma, share), speed_model)
+        other, of_other = of_a_circle(omega_radps, constant, speed_model)
         np.testing.assert_allclose(one, other, atol=1e-9)
         np.testing.assert_allclose(
             of_one[[0, 1, 2, -2, -1]], of_other[[0, 1, 2, -2, -1]], rtol=1e-6

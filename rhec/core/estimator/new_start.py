@@ -102,11 +102,17 @@ def anew(window, outputs, s_N, P, y, z, m_0, P_0):
 
 
 def _moves(outputs, s_bar, z, y, P_0):
-    """How each output's innovation moves the state, (n_s, n_y): the shortest way by P_0's units."""
+    """By how much the innovation y of each output moves the state, (n_s, n_y).
+
+        P_0 H' y / (H P_0 H')
+
+    Of all moves that explain y it is the shortest, measured in standard deviations of the start, so
+    that the units of the states do not count.
+    """
     columns = [ca.DM(s_bar.numel(), 0)]
     for k, output in enumerate(outputs):
         H = output.slope(s_bar, z).T
-        way = ca.fmax(P_0, TINY**0.5) * H
+        way = ca.fmax(P_0, TINY**0.5) * H  # also where the start is known exactly
         columns.append(way / ca.fmax(ca.dot(H, way), TINY) * y[k])
     return ca.horzcat(*columns)
 
