@@ -18,7 +18,6 @@ from rhec.tracked_robot.kinematics import QUANTITIES, SPEED_MODELS, YAW_DRIFT
 from rhec.tracked_robot.paper_rhe import SIGMA_START
 
 _TRACTION = QUANTITIES[4:]
-_GUESS = {YAW_DRIFT: 0.0}
 
 
 def _euler(x, u, p):
