@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from oracles import kalman
 
 from notebooks.studies.ipopt import PlanProblem, WindowProblem, next_state
 from rhec.core.controller.bounds import Bound
@@ -240,19 +239,3 @@ def _by_ipopt(problem, z, arrival):
     H = np.linalg.inv(arrival["P"].reshape(2 * (arrival["m"].size,)))
     window = WindowProblem(options["model"], N, options["dt"])
     return window.solve(z[-N - 1 :], arrival["m"], H, options["sigma_v"]).newest
-
-
-def kalman_filter(problem, z):
-    """The Kalman filter of `mass_on_a_spring`, apart from rhec: estimates (samples, 2).
-
-    Its prediction takes the measured force of the interval, whose noise is the process noise.
-    """
-    step = next_state(problem.options["model"], problem.options["dt"])
-    A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
-    B = step([0, 0], 1, []).full().ravel()
-    sigma_z, sigma_u = problem.options["sigma_v"]
-    Q = sigma_u**2 * np.outer(B, B)
-    H = np.eye(2)[:1]
-    samples = [(A, B * force, Q, H, [sigma_z], [position]) for position, force in z]
-    P = np.diag(problem.options["sigma_guess"]) ** 2
-    return np.array([m for m, *_ in kalman(problem.options["guess"], P, samples)])
