@@ -6,7 +6,6 @@ import fcntl
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +18,7 @@ import pytest
 
 import rhec
 from rhec.core._casadi import cache, compiled
+from rhec.core.lanes import lanes
 
 BUILD = """
 import rhec
@@ -128,30 +128,6 @@ def test_another_structure_or_another_source_is_another_library(tmp_path):
     assert len(libraries(tmp_path / "cache")) == 3
 
 
-@pytest.mark.nightly
-@needs_compiler
-def test_a_killed_build_is_built_again(tmp_path):
-    compiler, started, cache = tmp_path / "cc", tmp_path / "started", tmp_path / "cache"
-    compiler.write_text(
-        f'#!/bin/sh\n[ "$1" = --version ] || [ -e {started} ] || '
-        f"{{ touch {started}; echo rubbish > library.so; sleep 60; }}\n"
-        'exec cc "$@"\n'
-    )
-    compiler.chmod(0o755)
-    killed = start(cache, CC=str(compiler))
-    while not started.exists():
-        assert killed.poll() is None, killed.communicate()
-        time.sleep(0.01)
-    time.sleep(0.1)
-    os.killpg(killed.pid, signal.SIGKILL)
-    killed.communicate()
-    assert {path.name[:9] for path in cache.iterdir()} == {"building-"}
-    answer(start(cache, CC=str(compiler)))
-    assert [path.name for path in cache.iterdir()] == libraries(cache) and len(
-        libraries(cache)
-    ) == 1
-
-
 # A compiler, a disk or a cache that fails is no reason to fail
 
 OTHER_CACHE = "rhec: compiled code is kept in "
@@ -196,6 +172,27 @@ def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path,
     assert not list(tmp_path.glob("cache/*")) and not list(elsewhere.glob("*/*"))
 
 
+@pytest.fixture
+def hanging(tmp_path, monkeypatch):
+    """The path of a compiler that never ends."""
+    path = tmp_path / "cc"
+    path.write_text("#!/bin/sh\nexec sleep 60\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("CC", str(path))
+    monkeypatch.setenv("CXX", str(path))
+    monkeypatch.setattr(compiled, "_ANSWER_S", 0.3)
+    monkeypatch.setattr(compiled, "_COMPILE_S", 0.3)
+    return path
+
+
+def test_a_compiler_that_hangs_is_a_compiler_that_fails(hanging, tmp_path, monkeypatch):
+    assert compiled._working_compiler.__wrapped__() is None
+    with pytest.raises(OSError, match="did not end in 0.3 s"):
+        compiled.run_compiler([str(hanging)], tmp_path)
+    monkeypatch.setattr(compiled, "compiler", lambda: "cc")
+    assert lanes.cpp_compiler.__wrapped__() is None
+
+
 def mounted(options, cache, elsewhere, everywhere):
     """The build in a world of its own, where the cache is mounted with these options, and with
     `everywhere` the temporary folder, too.
@@ -224,16 +221,6 @@ def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, expected, options, ev
     else:
         assert line.startswith(f"{OTHER_CACHE}{elsewhere}/rhec-{os.geteuid()}, since ")
         assert len(list(elsewhere.glob("rhec-*/*/library.so"))) == 1
-
-
-@pytest.mark.nightly
-@needs_compiler
-@pytest.mark.parametrize("variable", ["RHEC_CACHE", "XDG_CACHE_HOME", "HOME"])
-def test_a_home_where_nothing_can_be_made_is_no_reason_to_fail(tmp_path, expected, variable):
-    (tmp_path / "file").touch()
-    nowhere = {"RHEC_CACHE": "", "XDG_CACHE_HOME": "", variable: str(tmp_path / "file/home")}
-    process = start(**dict(cache="") | nowhere | dict(TMPDIR=str(tmp_path)))
-    assert said(process, expected).startswith(f"{OTHER_CACHE}{tmp_path}/rhec-{os.geteuid()}, ")
 
 
 def test_without_a_compiler_results_agree_and_one_line_says_so_unless_none_was_wanted(
@@ -309,21 +296,6 @@ def test_what_is_broken_in_the_cache_or_does_not_load_is_built_anew(tmp_path, mo
         assert sorted(folder.iterdir()) == whole
     assert [path.name for path in folder.parent.iterdir()] == ["name"]
     assert not list((tmp_path / "other").glob("*/name"))
-
-
-DAQP = "from condensed_rhc import rhc_by; rhc_by('daqp', horizon=2).prepare()"
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_a_library_does_not_know_the_environment_that_built_it(tmp_path):
-    places = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
-    environment = dict(RHEC_CACHE=str(tmp_path), PYTHONPATH=places)
-    for _ in range(2):
-        subprocess.run([sys.executable, "-c", DAQP], env=os.environ | environment)
-    (library,) = tmp_path.glob("*/library.so")
-    content = library.read_bytes()
-    assert b"libdaqp" in content and str(Path(ca.__file__).parents[1]).encode() not in content
 
 
 # No one else's code is loaded
