@@ -80,25 +80,6 @@ def test_derivatives_are_the_finite_differences(options):
     np.testing.assert_allclose(np.hstack([np.array(interval.A_0) + D, B]), differences, atol=1e-6)
 
 
-def test_radau_is_exact_for_a_linear_model_to_its_rational_function():
-    """R(z) = (1 + z/3)/(1 - 2z/3 + z²/6), also for modes a thousand times faster than dt."""
-    fast = ca.DM([[-1e4, 1.0], [0.0, -0.5]])
-    names = dict(states=("a", "b"), inputs=("w",), parameters={}, outputs=("a",))
-    model = rhec.Model(**names, f=lambda x, u, p: fast @ x, rule="radau3")
-    z = np.array(fast) * 0.1
-    expected = np.linalg.solve(np.eye(2) - 2 / 3 * z + z @ z / 6, (np.eye(2) + z / 3) @ [1.0, 2.0])
-    reached = flat(robot_model.interval(model).step([1.0, 2.0], [0.0], 0.1))
-    np.testing.assert_allclose(reached, expected, rtol=1e-12)
-
-
-def test_a_discrete_model_steps_as_its_f_says_and_rests_in_an_interval_of_no_length():
-    names = dict(states=("a",), inputs=("w",), parameters={"gain": None}, outputs=("a",))
-    model = rhec.Model(**names, f=lambda x, u, p: p[0] * x + u, discrete=True)
-    step = robot_model.interval(model).step
-    assert flat(step([3.0, 0.5], [1.0], 0.2)).tolist() == [2.5, 0.5]
-    assert flat(step([3.0, 0.5], [1.0], 0.0)).tolist() == [3.0, 0.5]
-
-
 def test_f_may_be_a_list_a_column_or_unpacked():
     names = dict(states=("a", "b"), inputs=("w",), outputs=("a",), parameters={"k": None})
 
