@@ -56,31 +56,7 @@ def test_beyond_a_hard_bound_it_brakes_at_once_and_says_so(speed):
     assert mpc.status == f"the bounds of 'v' cannot be kept; the plan exceeds them by {by}"
 
 
-def test_a_price_above_all_multipliers_gives_the_same_commands():
-    """Whether the bound can be kept or not."""
-    hard, priced = (
-        mass(bounds=dict(v=bound)) for bound in [(-0.5, 0.5), rhec.Bound(-0.5, 0.5, linear=1e4)]
-    )
-    for x in [(2.0, 0.1), (-3.0, 0.4), (0.0, 1.5), (1.0, -0.8)]:
-        np.testing.assert_allclose(hard.step(x), priced.step(x), rtol=0, atol=1e-6)
-        assert priced.ok and hard.ok == (abs(x[1]) <= 0.6)
-
-
 # Bounds at which it rests
-
-
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("price", [None, 100.0])
-@pytest.mark.parametrize("lowest", [-INF, -1.0])
-@pytest.mark.parametrize("inputs", [[[1.9, 1.9], [-0.74, 0.74]], [[1.0, 0.5], [0.2, 1.0]]])
-def test_at_rest_at_a_bound_every_sample_is_ok(lowest, price, inputs):
-    """Two coupled inputs, a reference beyond the bound: in the end nothing is left to gain."""
-    f = lambda x, u, p: ca.vertcat(-x[0] / 18, -x[1] / 8) + 0.1 * ca.DM(inputs) @ u  # noqa: E731
-    model = rhec.Model(states=("level", "heat"), inputs=("cold", "hot"), f=f)
-    bounds = dict(level=rhec.Bound(lowest, 1.0, linear=price))
-    mpc = controller(model, q=(1.0, 1.0), r=(0.1, 0.1), dt=2.0, horizon=10, bounds=bounds)
-    states, _, ok = drive(model, mpc, (0, 0), 12, 2.0, x_ref=(2.0, 0.5))
-    assert np.all(ok) and states[-1, 0] == pytest.approx(1.0, abs=1e-6)
 
 
 # A bound that moves

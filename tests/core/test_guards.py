@@ -159,26 +159,6 @@ def test_beside_a_wild_input_the_position_is_used():
     assert ok.all() and error.max() < 0.15
 
 
-@pytest.mark.parametrize(("variance", "is_ok"), [(1.0, 1), (0.0, 0), (-1e-9, 0), (1e13, 0)])
-def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
-    """A window without one forgets what the gate remembered."""
-    gate = InnovationGate()
-    window = rhec.RHE().window
-    remembered = {
-        f"{name}_after": ca.DM.ones(*shape) for name, shape in gate.memory(window).items()
-    }
-    s = ca.DM.zeros(window.interval.n_s)
-    estimate = ca.DM.zeros(len(window.estimated))
-    covariance = ca.diag(ca.DM([1.0, variance]))
-    result = dict(ok=ca.DM(1), covariance=covariance, estimate=estimate)
-    verdict = dict(agrees=1, restart=1, s_predicted=s)
-    given = dict(z_N=ca.DM.zeros(len(window.model.outputs)))
-    flags = gate.conclude(window, given, verdict | remembered, result)
-    assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
-    for name in remembered:
-        assert (flags[name].full() == is_ok).all()
-
-
 def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     z = table.simulated_drives("bicycle", range(1)).z[0]
     settings = table.settings_of("bicycle")

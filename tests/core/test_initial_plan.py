@@ -78,15 +78,6 @@ def test_without_states_the_plan_is_simulated(virtual_machine):
     np.testing.assert_allclose(current, nodes, rtol=1e-12, atol=1e-12)
 
 
-def test_a_plan_beyond_the_bounds_is_improved_as_one_at_them(virtual_machine):
-    """On the way back the cost may rise, which a line search alone would refuse for ever."""
-    mpc = controller()
-    u_plan = some_inputs(np.random.default_rng(1))
-    beyond = np.where(u_plan > 0, 5 * FORCE, -5 * FORCE)
-    found = solved_from(mpc, HANGING, beyond)
-    np.testing.assert_array_equal(found, solved_from(mpc, HANGING, np.sign(beyond) * FORCE))
-
-
 def test_inputs_that_diverge_are_refused(virtual_machine):
     mpc = controller(bounds=None)
     mpc.restart(u_plan=(1e11,))

@@ -82,27 +82,6 @@ def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart():
     assert mhe.ok and abs(found.x[0] - 0.1) < 0.05
 
 
-def test_a_window_with_bounds_of_states_restarts_after_a_prediction():
-    """The cart jumps for good, and the fourth sample there restarts the window.
-
-    A window without bounds is solved with that sample, one with bounds with the next.
-    """
-    unlimited = estimator(CART, np.zeros(3), horizon=5)
-    assert solved_after_a_jump(unlimited) == [False] * 3 + [True] * 3
-    assert solved_after_a_jump(bounded(CART, np.zeros(3), 5)) == [False] * 4 + [True] * 2
-
-
-def solved_after_a_jump(mhe):
-    """Whether an RHE solved each of six samples after a jump of 5.1 m, which it follows."""
-    solved = []
-    for position in [0.1] * 10 + [-5.0] * 6:
-        mhe.prepare()
-        x = mhe.feedback((position, 0.0)).x
-        solved.append(mhe.ok)
-    assert abs(x[0] + 5.0) < 0.05
-    return solved[10:]
-
-
 def test_without_an_argument_the_noise_is_that_which_it_was_made_with():
     """Also after a sample that had another."""
     guess, z = mhe_instance(BICYCLE, np.random.default_rng(2), 19)
