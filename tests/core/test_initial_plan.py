@@ -11,7 +11,6 @@ PENDULUM = published_problems.pendulum()
 N = 20
 OPTIONS = PENDULUM.options | dict(dt=0.05, horizon=N)
 GOAL = np.zeros(4)
-FORCE = 80.0  # the largest
 HANGING = np.array(PENDULUM.start)
 CONSTRAINED = OPTIONS["bounds"] | {"p_m": (-1.5, 1.5)}
 
@@ -25,13 +24,6 @@ def some_inputs(rng):
     time = np.arange(N) / N
     waves = [rng.normal() * np.sin((k + 1) * np.pi * time) for k in range(3)]
     return 30 * np.sum(waves, axis=0).reshape(1, N)
-
-
-def solved_from(mpc, x, u_plan):
-    mpc.restart(u_plan=u_plan)
-    mpc.solve(x, (), GOAL, (0.0,), iterations=200)
-    assert mpc.converged
-    return mpc.u_plan
 
 
 def test_a_soft_bound_that_is_not_reached_costs_nothing():

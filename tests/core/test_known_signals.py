@@ -35,35 +35,6 @@ def cart(**changes):
     )
 
 
-def row_robot(direction=None):
-    """A unicycle that measures how far it is beside a row, whose direction is known or fixed."""
-
-    def beside(x, angle):
-        return ca.cos(angle) * x[1] - ca.sin(angle) * x[0]
-
-    known = {} if direction is not None else dict(known="row_rad")
-    return rhec.Model(
-        states=("x_m", "y_m", "theta_rad"),
-        inputs=("v_mps", "omega_radps"),
-        parameters={"mu": (0.0, 1.0)},
-        outputs=("x_m", "y_m", "beside_m", "v_mps", "omega_radps"),
-        f=lambda x, u, p, *d: [p[0] * u[0] * ca.cos(x[2]), p[0] * u[0] * ca.sin(x[2]), u[1]],
-        h=lambda x, u, p, d=None: [beside(x, direction if d is None else d[0])],
-        heading="theta_rad",
-        **known,
-    )
-
-
-OF_ROW_ROBOT = dict(
-    dt=DT,
-    horizon=5,
-    sigma_v=(0.03, 0.03, 0.02, 0.02, 0.02),
-    sigma_w=(0.005, 0.005, 0.01, 0.01),
-    guess=(0.0, 0.0, 0.1, 0.9),
-    sigma_guess=(0.1, 0.1, 0.3, 0.2),
-)
-
-
 def drive(rng, n):
     """Measurements (n, 2) of the cart, a fifth of `seen` missing, and its known signals (n, 2)."""
     known = np.column_stack([rng.uniform(-1, 1, n), rng.uniform(-3, 3, n)])
@@ -112,29 +83,29 @@ def test_on_a_linear_robot_it_is_the_kalman_filter(horizon):
     assert made.ok
 
 
-def samples_of_row_robot(direction, n=60):
-    """Measurements of a drive beside a row, with a jump that restarts the window."""
-    rng = np.random.default_rng(2)
-    fixed = row_robot(direction)
-    inputs = np.column_stack([np.full(n, 0.5), 0.3 * np.sin(0.2 * np.arange(n))])
-    x = fixed.simulate([0.0, 0.0, 0.0], inputs, [0.8], dt=DT)[1:]
-    z = [np.array(fixed.measurement(*each, [0.8])).ravel() for each in zip(x, inputs)]
-    z += rng.normal(0, OF_ROW_ROBOT["sigma_v"], (n, 5))
-    z[25:45, :2] += 2.0
-    z[10, 2], z[12, 0] = np.nan, 30.0
-    return z
-
-
 def test_a_signal_that_stays_the_same_is_a_number_in_the_model():
-    """Through outliers, a restart and iterations."""
-    known, fixed = (rhec.RHE(model=row_robot(d), **OF_ROW_ROBOT) for d in (None, 0.7))
+    """Through an outlier, a restart and iterations, of an output that is not linear."""
+
+    def seen(x, d):
+        return [ca.cos(d) * x[0] + 0.1 * ca.sin(d) * x[0] ** 2]
+
+    known, fixed = (
+        rhec.RHE(model=cart(known=names, h=h), dt=DT, horizon=5, **NOISE)
+        for names, h in (
+            (("push", "direction"), lambda x, u, p, d: seen(x, d[1])),
+            ("push", lambda x, u, p, d: seen(x, 0.7)),
+        )
+    )
+    z, signals = drive(np.random.default_rng(2), 50)
+    z[:, 0] += 5.0 * (np.arange(50) >= 25)
+    z[12, 0] = 30.0
     restarted = False
-    for k, row in enumerate(samples_of_row_robot(0.7)):
+    for k, (row, (push, _)) in enumerate(zip(z, signals)):
         verb = "solve" if k % 11 == 5 else "feedback"
         known.prepare()
         fixed.prepare()
-        found = getattr(known, verb)(row, known=dict(row_rad=0.7))
-        wanted = getattr(fixed, verb)(row)
+        found = getattr(known, verb)(row, known=dict(push=push, direction=0.7))
+        wanted = getattr(fixed, verb)(row, known=dict(push=push))
         np.testing.assert_allclose(np.concatenate(found[:3]), np.concatenate(wanted[:3]))
         np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-12)
         assert known.ok == fixed.ok
@@ -211,11 +182,12 @@ def pushed_rhc(**options):
 
 @pytest.mark.parametrize("options", [{}, dict(outputs={"v": lambda x, u, p, d: x[1] + 0 * d[0]})])
 def test_a_plan_counts_on_what_is_known_of_the_horizon(options):
-    """It is the least squares of the whole horizon, by dense matrices."""
+    """From whatever plan it starts, it is the least squares of the horizon, by dense matrices."""
     rng = np.random.default_rng(5)
     rhc = pushed_rhc(**options)
     F, G = A[:2, :2], PUSH[:2]
     for _ in range(5):
+        rhc.restart(u_plan=rng.normal(size=1))
         x, push = rng.normal(size=2), rng.normal(size=8)
         by_force, free = np.zeros((16, 8)), []
         for i in range(8):
