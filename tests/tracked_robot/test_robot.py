@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import SIMPLE_WORLD, no_compiler
-from oracles import DT
+from helpers import SIMPLE_WORLD
+from oracles import DT, drive
 
 import rhec
 from rhec.core.model.robot_model import interval
@@ -155,18 +155,12 @@ def test_a_gyro_bias_walks_as_far_in_two_short_samples_as_in_a_long_one(speed_mo
 
 def of_a_circle(omega_radps, sigma_gyro, speed_model):
     """Estimates and variances after 10 s on a circle by perfect sensors."""
-    rhe = rhec.RHE(
-        guess=(0, 0, 0, 0.5, 1, 1),
-        speed_model=speed_model,
-        sensors=("gyro",),
-        sigma_gyro=sigma_gyro,
-    )
-    half = DT * omega_radps / 2
-    at = 0j
-    for k in range(50):
-        rhe.prepare()
-        estimate = rhe.feedback((at.real, at.imag, 0.5, omega_radps, omega_radps))
-        at += 0.5 * DT * np.sinc(half / np.pi) * np.exp(1j * (2 * k + 1) * half)
+    start = (0, 0, 0, 0.5, 1, 1)
+    how = dict(speed_model=speed_model, sensors=("gyro",), sigma_gyro=sigma_gyro)
+    rhe = rhec.RHE(guess=start, **how)
+    _, z = drive(start, np.full(50, omega_radps))
+    for row in z[1:]:
+        estimate = rhe.step((*row, omega_radps))
     return np.array(estimate[:6]), np.diag(estimate.covariance)
 
 
@@ -201,9 +195,7 @@ def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():
 @pytest.mark.parametrize("speed_mps, place", [(0.0, 4), (0.5, 5)])
 def test_an_estimate_of_traction_may_be_none(speed_mps, place):
     """Eq. (14): of tracks that run in place, μ is 0; of a robot that they do not turn, κ is."""
-    with no_compiler():
-        mhe = rhec.RHE(process_noise="prediction")
-        for k in range(100):
-            mhe.prepare()
-            found = mhe.feedback([1.0 + speed_mps * DT * k, 2.0, 0.5, 0.1])
+    mhe = rhec.RHE(process_noise="prediction")
+    for k in range(100):
+        found = mhe.step([1.0 + speed_mps * DT * k, 2.0, 0.5, 0.1])
     assert 0 <= [*found.pose, *found.p][place] < 0.02
