@@ -138,11 +138,15 @@ def test_an_estimator_of_a_model_without_inputs(virtual_machine, bounds, noise_i
 def test_a_filter_whose_estimate_is_no_number_is_not_ok(virtual_machine):
     model = rhec.Model(states="x", outputs="x", f=lambda x, u, p: 1e4 * x)
     ekf = rhec.EKF(model=model, dt=1.0, sigma_v=[1], sigma_w=[1], guess=[1], sigma_guess=[1])
+    before = ekf.status
+    assert not ekf.ok and "sample" in before
     ekf.step([1.0])
-    assert ekf.ok
+    assert ekf.ok and ekf.status == ""
     for _ in range(9):
         ekf.step([np.nan])
-    assert not ekf.ok
+    assert not ekf.ok and ekf.status not in ("", before)
+    ekf.restart()
+    assert not ekf.ok and ekf.status == before
 
 
 @pytest.mark.parametrize("still", [0, 0.0, np.float64(0), np.zeros(1), ca.DM(0)])
