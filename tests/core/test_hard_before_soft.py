@@ -33,20 +33,6 @@ def test_a_hard_bound_that_can_be_kept_is_kept(hard, price):
         assert np.abs(rhc.x_plan[1]).max() < 0.3 + 1e-6
 
 
-@pytest.mark.parametrize("growth", [1.5, 1.9])
-def test_that_a_plant_gets_dear_does_not_make_its_commands_jump(growth):
-    """Who holds the command keeps the bounds of its changes, however unstable the plant is."""
-    plant = rhec.Model(
-        states=("x",), inputs=("u",), discrete=True, f=lambda x, u, p: [growth * x[0] + u[0]]
-    )
-    rhc = rhec.RHC(
-        model=plant, dt=0.1, horizon=12, q=(1.0,), r=(0.1,), delta_bounds={"u": (-0.05, 0.05)}
-    )
-    rhc.solve(x=(1.0,), x_ref=(0,), u_ref=(0,), iterations=30)
-    assert rhc.ok, rhc.status
-    assert np.abs(np.diff(rhc.u_plan[0], prepend=0)).max() < 0.05 + 1e-6
-
-
 @pytest.mark.parametrize("width", [1e-3, 1e-5, 1e-6, 1e-7])
 def test_a_command_in_a_narrow_band_away_from_the_first_plan(width):
     """The QP is solved; whatever the state does, the command is in its band."""
