@@ -16,6 +16,7 @@ import rhec
 from rhec import paper
 from rhec.core._casadi import compiled
 from rhec.core._casadi.packing import pack_array
+from rhec.core.estimator.estimate import Estimate
 from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 
 # Without the copies that JupyterLab keeps of those that were opened in it.
@@ -65,6 +66,13 @@ def estimator(robot, guess, **changes):
 
 def controller(robot, **changes):
     return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
+
+
+def estimate_of(**states):
+    """The estimate of a Model with these states and one input."""
+    found = Estimate(np.array([*states.values()]), np.zeros(1), np.zeros(0), np.eye(len(states)))
+    found.names = (*states, "v_mps")
+    return found
 
 
 # The paper's robot

@@ -76,17 +76,6 @@ def test_a_path_turns_to_the_sides_that_it_says(turns):
     np.testing.assert_allclose(np.abs(c[c != 0][0]), 1 / 7.8)
 
 
-def test_no_two_parts_of_the_alternating_path_touch():
-    """So that the closest point is never on another part than the one that is driven."""
-    path = PATHS["alternate"]
-    s = np.arange(0, path.length_m, 0.2)
-    xy = path.poses(s)[0][:, :2]
-    apart = np.abs(s[:, None] - s)
-    apart = np.minimum(apart, path.length_m - apart)
-    distance = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1))
-    assert distance[apart > 3.0].min() > 1.9
-
-
 @every_path
 def test_arc_length_yaw_and_curvature_belong_together(name):
     """dr/ds = (cos θ, sin θ), dθ/ds = c, also where segments meet: there is no step."""

@@ -4,21 +4,13 @@ and what it was.
 
 import numpy as np
 import pytest
-from helpers import assert_refused
+from helpers import assert_refused, estimate_of
 
 import rhec
-from rhec.core.estimator.estimate import Estimate
 
 PATH = rhec.Path.racetrack(30.0, 7.8)
 NAMES = dict(position=("x_m", "y_m"), heading="yaw_rad")
 ONES = np.ones((2, 2))
-
-
-def estimate(*names):
-    """An Estimate of states of these names."""
-    found = Estimate(np.zeros(len(names)), np.zeros(1), np.zeros(0), np.eye(len(names)))
-    found.names = (*names, "v_mps")
-    return found
 
 
 def references(of, *given):
@@ -27,7 +19,7 @@ def references(of, *given):
 
 
 NAMED = NAMES | dict(speed=0.5)
-FOUND = estimate("x_m", "y_m", "yaw_rad")
+FOUND = estimate_of(x_m=0, y_m=0, yaw_rad=0)
 SIX = "estimate was …; it should be (x, y, θ, ν, μ, κ)"
 PATHS = [
     (([],), "pieces was []; it "),
@@ -36,7 +28,7 @@ PATHS = [
 ]
 TRACKERS = [
     ((NAMES, FOUND), "speed was not given; PathTracker needs position, head"),
-    ((NAMED, estimate("x_m", "y_m", "theta")), "…the name 'yaw_rad'; this estimate has the states"),
+    ((NAMED, estimate_of(x_m=0, y_m=0, theta=0)), "…the name 'yaw_rad'; this estimate has"),
     ((NAMED, np.zeros(6)), "estimate was …; it should be an Estimate"),
     ((NAMED, FOUND, 0.1), "omega_measured was 0.1; "),
     (({}, FOUND, 0.0), SIX),
