@@ -15,7 +15,9 @@ from robots import DT, N
 import rhec
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.tracked_robot.estimators import Choice
+from rhec.core._casadi.packing import pack_array
+from rhec.core.estimator.estimate import Estimate
+from rhec.tracked_robot.estimators import Choice, build_step, estimator_of
 
 # Without the copies that JupyterLab keeps of those that were opened in it.
 NOTEBOOKS = sorted(
@@ -66,6 +68,13 @@ def controller(robot, **changes):
     return rhec.RHC(model=model(robot), **dict(dt=DT, horizon=N) | robot.controller | changes)
 
 
+def estimate_of(**states):
+    """The estimate of a Model with these states and one input."""
+    found = Estimate(np.array([*states.values()]), np.zeros(1), np.zeros(0), np.eye(len(states)))
+    found.names = (*states, "v_mps")
+    return found
+
+
 # The paper's robot
 
 # Both tracks on one soil, white errors, white bumps.
@@ -94,6 +103,26 @@ SIMPLE_WORLD = dict(
 def choice_of(name, horizon, speed_model="parameter", arrival_mean="smoothed"):
     """The Choice of an estimator of the paper's robot."""
     return Choice(name, horizon, speed_model, arrival_mean)
+
+
+def answers_of(choice, z, *first, **settings):
+    """What the estimator of a Choice answers to each row of z, as a list of results by name.
+
+    Args:
+        choice: The Choice.
+        z: Measurements (n, n_z).
+        first: What its `init` takes besides.
+        settings: Those of its step by name, or with a row for each sample; others do not count.
+    """
+    step = build_step(choice)
+    memory = pack_array(estimator_of(choice.estimator).init(choice, *first))
+    answers = []
+    for k, reading in enumerate(z):
+        given = {name: of[k] if np.ndim(of) == 2 else of for name, of in settings.items()}
+        given |= dict(memory=memory, z_N=reading)
+        answers.append(step(**{name: given[name] for name in step.name_in()}))
+        memory = answers[-1]["memory"]
+    return answers
 
 
 def own_controller(scenario, gain=4.0):

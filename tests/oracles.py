@@ -152,32 +152,22 @@ def robots_model(robot, state_bounds=()):
     return rhec.Model(**robot.model, state_bounds=dict(state_bounds))
 
 
-def mhe_by_ipopt(robot, guess, z):
-    """The optimum of all samples z (n, n_z), NaN where one is missing, with the guess as the prior:
-    newest x, u, p and the covariance of (x, p), and how many parameters are at a bound.
-    """
-    problem = window_problem(robots_model(robot), len(z) - 1)
-    found = problem.solve(z, guess, prior(robot), robot.sigma_v)
-    assert found.solved
-    low, high = limits(robot)
-    at_bounds = np.sum(np.minimum(found.p - low, high - found.p) < 1e-7)
-    newest = dict(x=found.x[:, -1], u=found.u[:, -1], p=found.p)
-    return newest | dict(covariance=problem.covariance(), at_bounds=at_bounds)
+def mhe_by_ipopt(robot, guess, z, sigma_w=None, state_bounds=None):
+    """The optimum of all samples z (n, n_z), NaN where one is missing, with the guess as the prior.
 
-
-def window_by_ipopt(robot, guess, z, sigma_w=None, state_bounds=None):
-    """The optimum of all samples z (n, n_z) with bounds of states: the newest x, u, p, and the
-    states (n_x, n) of the window.
-
-    Process noise has the standard deviations sigma_w (n, n_x + n_p), none of them 0, a row for each
-    sample; None: there is none.
+    Newest x, u, p, how many parameters are at a bound, the states (n_x, n), and what finds the
+    covariance of the newest (x, p). Process noise has the standard deviations sigma_w (n, n_x +
+    n_p), none of them 0, a row for each sample; None: there is none.
     """
     model = robots_model(robot, tuple((state_bounds or {}).items()))
     problem = window_problem(model, len(z) - 1, noisy=sigma_w is not None)
     of_intervals = None if sigma_w is None else sigma_w[1:]
     found = problem.solve(z, guess, prior(robot), robot.sigma_v, of_intervals)
     assert found.solved
-    return dict(x=found.x[:, -1], u=found.u[:, -1], p=found.p, states=found.x)
+    low, high = limits(robot)
+    at_bounds = np.sum(np.minimum(found.p - low, high - found.p) < 1e-7)
+    newest = dict(x=found.x[:, -1], u=found.u[:, -1], p=found.p)
+    return newest | dict(states=found.x, at_bounds=at_bounds, covariance=problem.covariance)
 
 
 @functools.cache

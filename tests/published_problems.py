@@ -1,4 +1,4 @@
-"""Problems that others published, as models of a few lines, each beside IPOPT or a Kalman filter.
+"""Problems that others published, as models of a few lines, each beside IPOPT.
 
 Weights, bounds, lengths and noise follow the source that each function names. Where `rhec.Model`
 or `rhec.RHC` cannot say what the source does, its docstring tells the difference.
@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from oracles import kalman
 
 from notebooks.studies.ipopt import PlanProblem, WindowProblem, next_state
 from rhec.core.controller.bounds import Bound
@@ -42,16 +41,6 @@ class Drive(NamedTuple):
     u: np.ndarray  # (samples, n_u)
     cost: float  # of the plan by rhec.RHC.solve, cold
     ipopt: float  # of the plan by IPOPT
-
-
-class Record(NamedTuple):
-    """A run of an estimator, and the last window solved by RHE and by IPOPT."""
-
-    x: np.ndarray  # true states (samples, n_x)
-    z: np.ndarray  # measurements (samples, n_z)
-    x_hat: np.ndarray  # estimates (samples, n_x)
-    iterated: np.ndarray  # (n_x,) newest estimate of the last window, by rhec.RHE.solve
-    ipopt: np.ndarray  # (n_x,) the same by IPOPT
 
 
 # Controllers
@@ -212,47 +201,27 @@ def drive(problem):
 
 
 def estimate(problem, seed=0):
-    """Run an EstimationProblem on simulated measurements, one iteration a sample: a Record."""
-    model = problem.options["model"]
-    rhe = RHE(**problem.options)
-    step = next_state(model, problem.options["dt"])
+    """The newest state of the last window on simulated measurements, by rhec.RHE and by IPOPT.
+
+    Before it, the RHE takes one iteration a sample.
+    """
+    options = problem.options
+    model = options["model"]
+    rhe = RHE(**options)
+    step = next_state(model, options["dt"])
     rng = np.random.default_rng(seed)
     x = np.array(problem.start)
-    rows = []
+    z = []
     for k, u in enumerate(problem.inputs):
         if k:  # a measured input belongs to the interval that ends with the sample
             x = step(x, u, []).full().ravel()
-        z = model.measurement(x, u, []).full().ravel()
-        z = z + rng.normal(size=len(z)) * problem.options["sigma_v"]
+        exact = model.measurement(x, u, []).full().ravel()
+        z.append(exact + rng.normal(size=len(exact)) * options["sigma_v"])
         rhe.prepare()
-        arrival = {name: rhe.iteration.current[name].copy() for name in "mP"}
-        found = rhe.feedback(z)
-        rows.append((x, z, found.x))
-    columns = [np.array(column) for column in zip(*rows)]
-    iterated = rhe.solve(rows[-1][1], iterations=30).x
-    return Record(*columns, iterated, _by_ipopt(problem, columns[1], arrival))
-
-
-def _by_ipopt(problem, z, arrival):
-    """The newest state of the last window, by IPOPT."""
-    options = problem.options
+        m, P = (rhe.iteration.current[name].copy() for name in "mP")
+        rhe.feedback(z[-1])
     N = options["horizon"]
-    H = np.linalg.inv(arrival["P"].reshape(2 * (arrival["m"].size,)))
-    window = WindowProblem(options["model"], N, options["dt"])
-    return window.solve(z[-N - 1 :], arrival["m"], H, options["sigma_v"]).newest
-
-
-def kalman_filter(problem, z):
-    """The Kalman filter of `mass_on_a_spring`, apart from rhec: estimates (samples, 2).
-
-    Its prediction takes the measured force of the interval, whose noise is the process noise.
-    """
-    step = next_state(problem.options["model"], problem.options["dt"])
-    A = np.column_stack([step(unit, 0, []).full().ravel() for unit in np.eye(2)])
-    B = step([0, 0], 1, []).full().ravel()
-    sigma_z, sigma_u = problem.options["sigma_v"]
-    Q = sigma_u**2 * np.outer(B, B)
-    H = np.eye(2)[:1]
-    samples = [(A, B * force, Q, H, [sigma_z], [position]) for position, force in z]
-    P = np.diag(problem.options["sigma_guess"]) ** 2
-    return np.array([m for m, *_ in kalman(problem.options["guess"], P, samples)])
+    window = WindowProblem(model, N, options["dt"])
+    H = np.linalg.inv(P.reshape(m.size, m.size))
+    by_ipopt = window.solve(np.array(z[-N - 1 :]), m, H, options["sigma_v"]).newest
+    return rhe.solve(z[-1], iterations=30).x, by_ipopt

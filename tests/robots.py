@@ -1,4 +1,4 @@
-"""Three robots beside the paper's, as plain data and plain functions: what `rhec.Model`, `rhec.RHE`
+"""Robots, the paper's among them, as plain data and plain functions: what `rhec.Model`, `rhec.RHE`
 and `rhec.RHC` are given, and what the oracles work with independently.
 """
 
@@ -207,29 +207,12 @@ WITH_GYRO = dataclasses.replace(
 )
 
 
-def _yaw_rate(x, u, p):
-    return ca.vertcat(((1 - p[1]) * u[1] - (1 - p[0]) * u[0]) / TRACK_WIDTH_M)
-
-
-# Besides the encoders a gyro, which tells of both slips and both inputs at once.
-SKID_WITH_GYRO = dataclasses.replace(
-    SKID_STEERED,
-    outputs=(*SKID_STEERED.outputs, "yaw_rate_radps"),
-    h=_yaw_rate,
-    sigma_v=(*SKID_STEERED.sigma_v, 0.05),
-)
-
-
 def _crawl(x, u, p):
     nu, mu, kappa = ca.vertsplit(p)
     return ca.vertcat(mu * nu * ca.cos(x[2]), mu * nu * ca.sin(x[2]), kappa * u[-1])
 
 
-def _crawl_with_speed(x, u, p):
-    return _crawl(x, u, ca.vertcat(u[0], p))
-
-
-# The paper's robot, eq. (2): one speed over the window, or one an interval.
+# The paper's robot, eq. (2).
 CRAWLER = Robot(
     states=("x_m", "y_m", "theta_rad"),
     inputs=("omega_radps",),
@@ -245,18 +228,6 @@ CRAWLER = Robot(
     q=(1.0, 1.0, 0.5),
     r=(5.0,),
     bounds={"omega_radps": (-0.1, 0.1)},
-)
-CRAWLER_BY_SPEED = dataclasses.replace(
-    CRAWLER,
-    inputs=("nu_mps", "omega_radps"),
-    parameters={"mu": (0.0, 1.0), "kappa": (0.0, 1.0)},
-    f=_crawl_with_speed,
-    sigma_w=(*paper.SIGMA_W_RHE[:3], *paper.SIGMA_W_RHE[4:]),
-    sigma_guess=(*CRAWLER.sigma_guess[:3], *CRAWLER.sigma_guess[4:]),
-    u_range=((0.45, -0.3), (0.55, 0.3)),
-    p_range=((0.7, 0.7), (1.3, 1.3)),
-    r=(1.0, 5.0),
-    bounds={"nu_mps": (0.2, 0.6), "omega_radps": (-0.1, 0.1)},
 )
 
 
@@ -292,7 +263,5 @@ VARIANTS = {
     "with_track_width": WITH_TRACK_WIDTH,
     "unicycle": UNICYCLE,
     "with_gyro": WITH_GYRO,
-    "skid_with_gyro": SKID_WITH_GYRO,
     "crawler": CRAWLER,
-    "crawler_by_speed": CRAWLER_BY_SPEED,
 }

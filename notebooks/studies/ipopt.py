@@ -25,27 +25,15 @@ class Solver(NamedTuple):
     by_stages: bool = False  # whether it knows no unknown that many stages share
 
 
-_EXACT = {
-    "print_level": 0,
-    "sb": "yes",
-    "tol": 1e-11,
-    "bound_relax_factor": 0.0,  # otherwise IPOPT may exceed each bound by 1e-8
-}
-EXACT = Solver("ipopt", _EXACT)
-# Otherwise it leaves its first point at once, and may go to another local solution. Where a bound
-# is reached that does not push, it stays the root of its tolerance away.
-_SMALL_NEAR = (
-    "tol",
-    "compl_inf_tol",
-    "mu_init",
-    "warm_start_bound_push",
-    "warm_start_bound_frac",
-    "warm_start_slack_bound_push",
-    "warm_start_slack_bound_frac",
-    "warm_start_mult_bound_push",
+EXACT = Solver(
+    "ipopt",
+    {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-11,
+        "bound_relax_factor": 0.0,  # otherwise IPOPT may exceed each bound by 1e-8
+    },
 )
-_NEAR = {"warm_start_init_point": "yes"} | dict.fromkeys(_SMALL_NEAR, 1e-13)
-NEAR = Solver("ipopt", _EXACT | _NEAR)
 # What IPOPT says of a solution to which double precision allows no better one.
 _SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 _ACTIVE = 1e-6  # distance from a bound that counts as being at it

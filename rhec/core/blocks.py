@@ -168,7 +168,7 @@ def sample(blocks, settings, row, others=()):
     Args:
         blocks: Blocks, in the order in which they act.
         settings: Names of the signals that stay the same over a run; those that no block reads are
-            left out. A signal without entries need not be among them.
+            left out.
         row: Signals whose values become a row of the log.
         others: Further signals to return.
 
@@ -190,9 +190,7 @@ def sample(blocks, settings, row, others=()):
         if name not in written:
             raise ValueError(f"no block writes {name!r}, which is remembered")
     constant = {name: shape for name, (shape, _) in outside.items() if name not in memory | stream}
-    # Such as the prices of soft bounds, where there are none.
-    empty = {name: ca.MX(*shape) for name, shape in constant.items() if 0 in shape}
-    symbols = {name: ca.MX.sym(name, *constant[name]) for name in constant if name not in empty}
+    symbols = {name: ca.MX.sym(name, *shape) for name, shape in constant.items()}
     for name in symbols:
         if name not in settings:
             reader = outside[name][1]
@@ -202,7 +200,7 @@ def sample(blocks, settings, row, others=()):
         noise=ca.MX.sym("noise", packed_size(stream)),
     )
     last = unpack(packed["memory"], memory)
-    signals = symbols | empty | unpack(packed["noise"], stream) | last
+    signals = symbols | unpack(packed["noise"], stream) | last
     signals |= {name + _LAST: value for name, value in last.items()}
     signals = wiring.evaluated(parts, signals)
     results = dict(

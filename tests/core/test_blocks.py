@@ -100,34 +100,6 @@ def test_a_loop_is_its_blocks_one_after_the_other(loop, expected):
     np.testing.assert_allclose(run(loop, [0.0, 1.0, 0.0]), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_settings_that_no_block_reads_are_left_out():
-    step = sample(LOOP, ["gain", "unused"], ["u"], others=["z"])
-    assert step.name_in() == ["memory", "noise", "gain"]
-    assert step.name_out() == ["memory", "row", "z"]
-
-
-def build_priced():
-    @casadi_function("priced", x=(2, 1), prices=(0, 1), gain=ONE)
-    def priced(x, prices, gain):
-        return dict(x=gain * x + ca.sum1(prices))
-
-    return priced
-
-
-def test_a_signal_without_entries_needs_no_setting():
-    step = sample((Block(build_priced, remembers=("x",)),), ["gain"], ["x"])
-    assert step.name_in() == ["memory", "noise", "gain"]
-    assert step(memory=[1.0, 2.0], gain=3.0)["row"].full().ravel().tolist() == [3.0, 6.0]
-
-
-def test_a_block_may_overwrite_a_setting():
-    """The next sample begins with the setting once more."""
-    both = Block(build_twice, reads=dict(z="gain"), writes=dict(z="gain"))
-    step = sample((SPLIT, SENSOR, both, CONTROLLER, PLANT), ["gain"], ["u"])
-    found = step(memory=[0.0, 1.0, 0.0], noise=[0.0, 0.0], gain=0.5)
-    assert float(found["row"]) == -1.0
-
-
 @pytest.mark.parametrize(
     ("loop", "sentence"),
     [

@@ -10,7 +10,6 @@ from helpers import model, no_compiler
 
 import rhec
 from notebooks.studies.ipopt import PlanProblem
-from rhec.core.controller.stages import build_cost
 
 INF = np.inf
 
@@ -196,19 +195,6 @@ def test_numbers_change_between_samples_without_a_new_controller():
     plain.update(bounds=dict(acceleration_mps2=(-0.1, 0.1)))
     assert plain.feedback(**given) == -0.1
     assert changed.bounds == tight and plain.bounds == dict(acceleration_mps2=(-0.1, 0.1))
-
-
-def test_the_cost_that_a_search_compares_is_that_of_the_problem_with_its_soft_prices():
-    mpc = controller(SOFT)
-    rng = np.random.default_rng(0)
-    s, u = rng.normal(size=(3, 16)), rng.normal(size=(1, 15))
-    cost = build_cost(mpc.stages)
-    given = {name: value for name, value in mpc.settings.items() if name in cost.name_in()}
-    zeros = dict(s_0=s[:, 0], x_ref=np.zeros((2, 16)), u_ref=np.zeros((1, 15)))
-    q = np.array(CART["q"])[:, None] * [*np.ones(14), CART["qn_factor"]]
-    t = np.maximum(np.abs(s[1, 1:] - 0.05) - 0.55, 0.0)
-    expected = ((q * s[:2, 1:] ** 2).sum() + 0.3 * (u**2).sum() + (0.2 * t + 3 * t**2).sum()) / 2
-    assert float(cost(s=s, u=u, **zeros, **given)["cost"]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_an_input_of_the_reference_does_to_an_output_counts_at_once():

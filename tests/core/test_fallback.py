@@ -4,8 +4,7 @@ after find back.
 
 import numpy as np
 import pytest
-from condensed_rhc import rhc_by
-from oracles import N, drive, move
+from oracles import drive, move
 
 import rhec
 from rhec import paper
@@ -68,7 +67,6 @@ def empty_memory(rhe):
 # {what happens after the sample HIT: (how, at most so many steps that fail, error at the end [m])}
 UPSETS = {
     "no prior at all": (fill_covariance(0.0), 1, 0.15),
-    "a prior of rank 1": (fill_covariance(1.0), 1, 0.15),
     # Nothing but rounding is left within the window, so that the gate may reject a good sample.
     "a prior beyond all numbers": (fill_covariance(1e300), 1, 0.15),
     "a prior without numbers": (fill_covariance(np.nan), 1, 0.15),
@@ -91,10 +89,7 @@ def test_what_upsets_the_memory_is_solved_or_flagged_and_forgotten(given, name):
     P = arrival_covariance(rhe)
     np.testing.assert_array_equal(P, P.T)
     variances = np.linalg.eigvalsh(P)
-    # A prior of rank 1 knows how far the antenna is ahead minus how far it is to the left. Both are
-    # constants without process noise, so that this variance stays 0 but for rounding.
-    least = -1e-14 * variances.max() if name == "a prior of rank 1" else 0
-    assert variances.min() > least
+    assert variances.min() > 0
 
 
 @estimators
@@ -106,21 +101,6 @@ def test_a_step_that_fails_is_predicted_with_the_last_input(given):
     predicted = move((x, y, theta), nu, mu, kappa, WEAVE[HIT - 1])
     np.testing.assert_allclose(estimates[HIT + 1, :3], predicted, atol=0.02)
     np.testing.assert_allclose(estimates[HIT + 1, 4:], estimates[HIT, 4:], atol=1e-12)
-
-
-@estimators
-@pytest.mark.parametrize("wrong", [1e5, -9.9e7])
-def test_positions_that_break_the_problem_are_dropped_with_their_window(given, wrong):
-    """Numbers that a reading can have, for four samples: steps fail, are flagged, and the position
-    is found again.
-    """
-    z = Z[:300].copy()
-    z[HIT : HIT + 4, :2] = wrong
-    rhe = rhec.RHE(guess=GUESS, sigma_v=paper.SIGMA_V, **given)
-    estimates, solved = estimated(rhe, z)
-    assert sound(estimates) and solved[:HIT].all() and solved[-20:].all()
-    assert not solved.all()
-    assert np.abs(estimates - TRUTH[:300])[-20:, :2].max() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -144,25 +124,3 @@ def test_an_ill_conditioned_window_is_solved_or_flagged(sigma):
         np.all(np.abs(estimates - TRUTH[:SOON])[solved, :2] < 100)
         and np.isfinite(arrival_covariance(rhe)).all()
     )
-
-
-@pytest.mark.parametrize("qp", ["structured", "daqp", "qpoases"])
-def test_a_controller_that_fails_commands_its_shifted_plan(qp):
-    straight = dict(
-        pose=(0.0, 0.1, 0.0),
-        p=(0.5, 0.9, 0.8),
-        xi_ref=np.vstack([0.1 * np.arange(N + 1), np.zeros((2, N + 1))]),
-        omega_ref=np.zeros(N),
-    )
-    rhc, spared = rhc_by(qp), rhc_by(qp)
-    for k in range(4 * N):
-        plan = rhc.omega_plan
-        rhc.prepare(), spared.prepare()
-        command, expected = (
-            rhc.feedback(**straight | (dict(pose=(np.nan,) * 3) if k == 5 else {})),
-            spared.feedback(**straight),
-        )
-        assert rhc.ok == (k != 5) and abs(command) <= paper.OMEGA_MAX_RADPS
-        if k == 5:
-            assert command == plan[1]
-    assert command == pytest.approx(expected, abs=1e-6)

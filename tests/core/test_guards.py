@@ -1,6 +1,6 @@
 """One judge for every RHE: what one sample does, and the acceptance table of `guard_table`."""
 
-import dataclasses
+import bisect
 import functools
 from types import MappingProxyType
 
@@ -12,11 +12,15 @@ import pytest
 import rhec
 from rhec.core.estimator import noise_level
 from rhec.core.estimator.innovation_gate import InnovationGate
-from rhec.simulation.columns import MEASUREMENTS
 
 DRIVES = range(2)
 NIGHTLY_DRIVES = range(1000, 1120)  # on which no number was chosen
 SAMPLE = [case for i, case in enumerate(table.cases()) if i % 58 == 0]
+SAMPLE += [
+    table.Case("paper, printed", "first", "4 wild of 1000 m"),
+    table.Case("paper, consistent", "later", "positions 0.3 m off, 26 s"),
+    table.Case("bicycle", "later", table.TURNED),
+]
 
 
 def assert_kept(case, seeds, known=MappingProxyType({})):
@@ -38,34 +42,6 @@ def test_no_fault_costs_the_rhe_more_than_the_ekf(case):
 @pytest.mark.parametrize("case", table.cases(), ids=" ".join)
 def test_no_fault_costs_the_rhe_more_than_the_ekf_on_many_drives(case):
     assert_kept(case, NIGHTLY_DRIVES, table.KNOWN.get(case, {}))
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("robot", ["paper, printed", "paper, consistent"])
-def test_rtk_that_falls_to_float_costs_the_rhe_no_more_than_the_ekf(robot):
-    """Many of these samples agree by chance, so that few are rejected in a row."""
-    assert_kept(table.Case(robot, "later", "positions 0.3 m off, 26 s"), range(8))
-
-
-@pytest.mark.parametrize("process_noise", ["printed", "consistent"])
-def test_wild_first_samples_do_not_make_noise_of_the_good_ones_after_them(process_noise):
-    """The good ones are rejected, too, as the first guess is wild; they do not scatter."""
-    assert_kept(table.Case(f"paper, {process_noise}", "first", "4 wild of 1000 m"), range(6))
-
-
-@pytest.mark.parametrize(
-    ("case", "seed"),
-    [
-        (table.Case("paper, printed", "later", "burst 5 s of 3 m"), 2022),
-        (table.Case("bicycle", "later", table.TURNED), 1029),
-        (table.Case("bicycle", "later", "encoders dead 5 s"), 2015),
-    ],
-    ids=str,
-)
-def test_a_window_that_restarts_with_a_wrong_heading_is_turned_before_long(case, seed):
-    """Once it has restarted for about as many samples as it holds; these restarted on and on."""
-    ours, _, _ = table.rows_of(case, range(seed, seed + 1))
-    assert ours.lost == 0 and ours.back <= 2 * 15
 
 
 @functools.cache
@@ -107,11 +83,6 @@ def test_drives_without_a_fault_keep_the_bits_that_they_have_if_no_sample_is_rej
     np.testing.assert_array_equal(places, unjudged)
 
 
-def test_without_a_judge_drives_are_lost():
-    drives, places, ok = found("bicycle", "3 wild of 10000 m", judge=None)
-    assert (np.linalg.norm(places - drives.places, axis=-1)[:, -1] > 0.5).any() and ok.any()
-
-
 @pytest.mark.parametrize("size_m", [5, 100])
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_positions_that_have_moved_for_good_are_taken_at_the_fourth(robot, size_m):
@@ -120,18 +91,6 @@ def test_positions_that_have_moved_for_good_are_taken_at_the_fourth(robot, size_
     for first, flags, off in zip(drives.first, ok, error):
         assert (~flags).nonzero()[0].tolist() == [first, first + 1, first + 2]
         assert off[first + 3 :].max() < 0.5
-
-
-@pytest.mark.parametrize("speed_mps", [10, 30])
-def test_they_are_so_as_well_while_the_estimate_itself_moves(speed_mps):
-    """Wrong encoders correct it at each sample by an amount that grows with the wrong speed."""
-    drives = table.spoiled(table.Case("paper, printed", "later", "moved for good by 5 m"), DRIVES)
-    z = drives.z.copy()
-    for of_drive, first in zip(z, drives.first):
-        of_drive[first:, 2] += speed_mps
-    _, ok = table.run(table.paper_estimators("prediction")["RHE"], drives._replace(z=z))
-    for flags, first in zip(ok, drives.first):
-        assert flags[first : first + 5].tolist() == [False, False, False, True, True]
 
 
 @pytest.mark.parametrize("robot", ["paper, printed", "unicycle"])
@@ -149,42 +108,6 @@ def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
     # Each coordinate scatters by 5.8 km, the end of a line through 16 of them by half as much.
     assert error[:, 30 : 29 + most].max() < 1 and error.max() < 2900
     assert ok[:, -100:].all() and error[:, -100:].max() < 0.3
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("n", [40, 480])
-def test_after_a_storm_of_absurd_samples_the_estimate_is_back(n):
-    """A window whose solution swings does not take its own swings for noise of the receiver.
-
-    Few of n drives are not back after 14 s, and none is lost after 20 s.
-    """
-    clean = table.paper_drives(range(8))
-    z, places = (np.tile(each, (n // 8, 1, 1)) for each in (clean.z, clean.places))
-    rng = np.random.default_rng(1)
-    storm = z[:, 100:160]
-    sign = rng.choice([-1, 1], storm.shape)
-    absurd = sign * 10.0 ** rng.uniform(-3, 8, storm.shape)
-    near = rng.uniform(-100, 100, storm.shape)
-    absurd = np.where(rng.uniform(size=storm.shape) < 0.5, near, absurd)
-    share = rng.uniform(size=(len(z), 1, 1))
-    z[:, 100:160] = np.where(rng.uniform(size=storm.shape) < share, absurd, storm)
-    estimator = table.paper_estimators("prediction")["RHE"]
-    found, _ = table.run(estimator, table.Drives(z, places))
-    error = np.linalg.norm(found - places, axis=-1)
-    assert (error[:, -50:].max(axis=1) > 0.5).mean() < 0.03
-    assert error[:, -20:].max() < 0.5
-
-
-@pytest.mark.parametrize("factor", [3.0, 1e3, 1e7])
-def test_a_wild_input_beside_a_wild_position_is_not_used(factor):
-    drives, spared, _ = found("unicycle")
-    z = drives.z.copy()
-    z[:, 60, :2] += 500.0
-    z[:, 60, 2:] += factor
-    estimator = table.ROBOTS["unicycle"].estimators()["RHE"]
-    places, ok = table.run(estimator, drives._replace(z=z))
-    assert not ok[:, 60].any() and ok[:, 61:].all()
-    assert np.linalg.norm(places - spared, axis=-1).max() < 0.1
 
 
 def test_the_longer_no_position_came_the_farther_the_next_may_be():
@@ -207,16 +130,10 @@ def test_the_longer_no_position_came_the_farther_the_next_may_be():
         live.step([0.1 * (30 + missing), beside_m, 0.5, 0.0])
         return live.ok
 
+    grid = np.arange(0.0, 5.0, 0.01)
+
     def largest_m(missing):
-        least = 0.0
-        most = 5.0
-        for _ in range(9):
-            middle = (least + most) / 2
-            if is_used(middle, missing):
-                least = middle
-            else:
-                most = middle
-        return least
+        return grid[bisect.bisect(grid, False, key=lambda beside: not is_used(beside, missing))]
 
     assert largest_m(15) == pytest.approx(2 * largest_m(3), rel=0.1)
 
@@ -242,26 +159,6 @@ def test_beside_a_wild_input_the_position_is_used():
     assert ok.all() and error.max() < 0.15
 
 
-@pytest.mark.parametrize(("variance", "is_ok"), [(1.0, 1), (0.0, 0), (-1e-9, 0), (1e13, 0)])
-def test_only_with_a_variance_that_can_be_an_estimate_is_ok(variance, is_ok):
-    """A window without one forgets what the gate remembered."""
-    gate = InnovationGate()
-    window = rhec.RHE().window
-    remembered = {
-        f"{name}_after": ca.DM.ones(*shape) for name, shape in gate.memory(window).items()
-    }
-    s = ca.DM.zeros(window.interval.n_s)
-    estimate = ca.DM.zeros(len(window.estimated))
-    covariance = ca.diag(ca.DM([1.0, variance]))
-    result = dict(ok=ca.DM(1), covariance=covariance, estimate=estimate)
-    verdict = dict(agrees=1, restart=1, s_predicted=s)
-    given = dict(z_N=ca.DM.zeros(len(window.model.outputs)))
-    flags = gate.conclude(window, given, verdict | remembered, result)
-    assert [flags["ok"], flags["kept"], flags["restart"]] == [is_ok] * 3
-    for name in remembered:
-        assert (flags[name].full() == is_ok).all()
-
-
 def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     z = table.simulated_drives("bicycle", range(1)).z[0]
     settings = table.settings_of("bicycle")
@@ -282,17 +179,3 @@ def test_a_live_estimator_tells_what_it_used_and_how_much_it_rejected():
     assert live.rejected == pytest.approx(29 / 30**2)
     live.restart()
     assert not live.accepted.any() and live.rejected == 0
-
-
-def test_a_closed_loop_drives_on_after_a_repeated_and_then_a_wild_position():
-    faults = (
-        rhec.Fault(kind="stuck", start_s=19.8, duration_s=0.2),
-        rhec.Fault(kind="outliers", start_s=20.0, duration_s=0.2, size_m=1000.0),
-    )
-    scenario = rhec.Scenario(process_noise="printed", duration_s=40.0, faults=faults)
-    hit = rhec.simulate(scenario).log
-    spared = rhec.simulate(dataclasses.replace(scenario, faults=())).log
-    assert (~hit["ok"]).sum() == 1
-    assert (hit["position_accepted"] == hit["ok"]).all() and spared["position_accepted"].all()
-    assert hit["error_true_m"].max() < spared["error_true_m"].max() + 0.05
-    assert len(hit[MEASUREMENTS]) == 200

@@ -1,4 +1,4 @@
-"""Problems that others published are solved as IPOPT and a Kalman filter solve them."""
+"""Problems that others published are solved as IPOPT solves them."""
 
 import numpy as np
 import published_problems as published
@@ -41,14 +41,4 @@ def test_the_obstacle_costs_what_ipopt_s_closed_loop_costs(discrete, cost):
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("define", ESTIMATION)
 def test_windows_are_solved_as_by_ipopt(define):
-    problem = define()
-    record = published.estimate(problem, seed=3)
-    np.testing.assert_allclose(record.iterated, record.ipopt, rtol=1e-6, atol=1e-8)
-
-
-def test_the_mass_on_a_spring_has_the_kalman_filter_s_estimates():
-    problem = published.mass_on_a_spring()
-    record = published.estimate(problem)
-    expected = published.kalman_filter(problem, record.z)
-    np.testing.assert_allclose(record.x_hat, expected, rtol=0, atol=1e-12)
-    assert np.abs(record.x_hat - record.x)[200:, 0].max() < 0.01
+    np.testing.assert_allclose(*published.estimate(define(), seed=3), rtol=1e-6, atol=1e-8)

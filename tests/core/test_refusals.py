@@ -2,7 +2,6 @@
 was, and what it may be. How a Scenario refuses is in tests/simulation/test_scenario.py.
 """
 
-import math
 import re
 
 import casadi as ca
@@ -49,17 +48,13 @@ MODELS = [
     ("states", dict(states=("x_m", "", "theta_rad"))),
     ("states", dict(states=())),
     ("states|inputs", dict(inputs=("x_m", "v_right_mps"))),
-    ("states|parameters", dict(parameters={"x_m": None, "b": None})),
     ("outputs", dict(outputs=("x_m", "x_m", "v_left_mps", "v_right_mps"))),
     ("outputs|h", dict(outputs=("x_m", "z_m", "v_left_mps"))),
     ("parameters", dict(parameters=("slip_left", "slip_right"))),
     ("slip_left", slips((1, 0))),
-    ("slip_left", slips((0, 1, 2))),
     ("slip_left", slips((0, np.nan))),
-    ("slip_left", slips("all")),
     ("slip_left", slips((ca.SX.sym("a"), 1.0))),
     ("max_measurement", dict(max_measurement=5)),
-    ("max_measurement", dict(max_measurement=(np.nan,) * 4)),
     ("max_measurement", dict(max_measurement=(-1.0,) * 4)),
     ("motion_noise", dict(motion_noise=5)),
     ("sigma_held", dict(sigma_held=5)),
@@ -68,10 +63,7 @@ MODELS = [
     ("f", f_of(3)),
     ("f", f_of(lambda x, u, p: ca.vertcat(u[0], u[1]))),
     ("f", f_of(lambda x, u, p: ca.vertcat(u[0], u[1], ca.SX.sym("other")))),
-    ("f", f_of(lambda x, u, p: "forward")),
     ("f", f_of(lambda x, u: x)),
-    ("f", f_of(lambda x, u, p: x[7])),
-    ("ca.sin in place of math", f_of(lambda x, u, p: -x + math.sin(x[0]))),
     ("h", h_of(lambda x, u, p: x[:2])),
     ("h", h_of(lambda x, u, p: ca.SX.sym("other"))),
     ("h", h_of(lambda x, u, p: np.nan * x[0])),
@@ -79,7 +71,6 @@ MODELS = [
     ("steps", dict(steps=True)),
     ("steps", dict(steps=2.0)),
     ("rule", dict(rule="euler")),
-    ("rule", dict(rule=["rk4"])),
     ("discrete", dict(discrete=1)),
     ("steps", dict(discrete=True, steps=2)),
     ("state_bounds", dict(state_bounds=5)),
@@ -100,6 +91,7 @@ ESTIMATORS = [
     ("model", dict(model="tracked")),
     ("outputs", dict(model=rhec.Model(**ROBOT.model | dict(outputs=(), h=None)), sigma_v=())),
 ]
+HELD = "leave it out of `command`.*a large weight"  # what does the work of equal bounds
 HARD, SOFT = dict(x_m=(-1, 1)), rhec.Bound(-1, 1, linear=1)
 CONTROLLERS = [
     ("command", dict(command=("v_left_mps", "v_middle_mps"))),
@@ -108,23 +100,20 @@ CONTROLLERS = [
     ("command", dict(command=("slip_left",))),
     ("bounds", dict(bounds=BOUNDS | {"v_middle_mps": (0, 1)})),
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (1, -1)})),
-    ("bounds", dict(bounds=BOUNDS | {"v_left_mps": (np.nan, 1)})),
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": "fast"})),
     ("bounds", dict(bounds=BOUNDS | {"v_left_mps": SOFT})),
+    (HELD, dict(bounds=BOUNDS | {"x_m": (1.0, 1.0)})),
+    (HELD, dict(terminal_bounds={"x_m": [0, 0]})),
     ("delta_bounds", dict(delta_bounds=dict(x_m=(-1, 1)))),
     ("terminal_bounds", dict(bounds=BOUNDS | HARD, terminal_bounds=dict(x_m=SOFT))),
     ("outputs", dict(outputs=("speed",))),
     ("outputs", dict(outputs=dict(speed=lambda x, u, p: x))),
-    ("outputs", dict(outputs=dict(speed=3))),
     ("q", dict(q=(1.0, 1.0))),
     ("q", dict(q=(1.0, 1.0, -1.0))),
     ("q", dict(q=np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))),
     ("q", dict(q=-np.eye(3))),
-    ("q_y", dict(q_y=(1.0,))),
     ("r", dict(r=(1.0,))),
     ("r", dict(r=(1.0, -1.0))),
-    ("r", dict(r="much")),
-    ("r", dict(q=(0.0,) * 3, r=(1.0, 0.0))),
     ("r", dict(q=(0.0,) * 3, r=(1.0, 0.0), q_y=(1.0,), outputs=dict(v=lambda x, u, p: u[0]))),
     ("qn_factor", dict(qn_factor=-1.0)),
     ("dt", dict(dt=-0.2)),
@@ -135,23 +124,14 @@ PAPERS_RHE = [
     ("horizon", dict(horizon=0)),
     ("sigma_w", dict(sigma_w=(1, 1))),
     ("sigma_w", dict(speed_model="input", sigma_w=(1,) * 6)),
-    ("speed_model", dict(speed_model="none")),
-    ("arrival_mean", dict(arrival_mean=0)),
     ("guess", dict(guess=(0, 0, 0))),
-    ("guess", dict(guess=(np.nan,) * 6)),
 ]
-PAPERS_RHC = [
-    ("q", dict(q=(1, 1, -1))),
-    ("r", dict(r=0)),
-    ("qn_factor", dict(qn_factor="10")),
-    ("omega_max", dict(omega_max=float("nan"))),
-    ("horizon", dict(horizon=15.0)),
-]
+PAPERS_RHC = [("omega_max", dict(omega_max=float("nan")))]
 PRICES = [
+    (HELD, dict(lowest=1)),
     ("linear", dict(linear=-1)),
     ("linear|quadratic", dict(linear=0)),
     ("quadratic", dict(quadratic=np.nan)),
-    ("linear", dict(linear="1")),
 ]
 GOOD = dict(model=model(ROBOT), dt=DT, guess=GUESS) | ROBOT.estimator
 MADE = {
@@ -161,7 +141,7 @@ MADE = {
     "RHC": (lambda **bad: controller(ROBOT, **bad), CONTROLLERS),
     "the paper's RHE": (rhec.RHE, PAPERS_RHE),
     "the paper's RHC": (rhec.RHC, PAPERS_RHC),
-    "Bound": (lambda **bad: rhec.Bound(0, 1, **bad), PRICES),
+    "Bound": (lambda **bad: rhec.Bound(**dict(lowest=0, highest=1) | bad), PRICES),
 }
 
 
@@ -185,7 +165,7 @@ def test_a_first_deviation_is_refused_from_the_limit_that_is_told():
 
 # Calls of objects that are there
 
-MEASUREMENTS = [(0.0,) * 3, 0.0, np.zeros((1, 4)), ("a", 0, 0, 0)]
+MEASUREMENTS = [(0.0,) * 3, np.zeros((1, 4)), ("a", 0, 0, 0)]
 REFERENCES = [
     ("x", (0.0, 0.0)),
     ("p", (0.1,)),
@@ -194,15 +174,14 @@ REFERENCES = [
     ("u_ref", np.zeros((2, N + 1))),
     ("u_ref", np.zeros(N)),
 ]
-ITERATIONS = [None, [3], "3", 2.5, -1, 10**400]
+ITERATIONS = [None, 2.5, -1, 10**400]
 NOISES = [(1.0, 2.0), -np.ones(5), "abc", np.nan, np.ones((4, 5))]
-COMMANDS = [(1.0, 2.0, 3.0), "a", ["a"], {}]
+COMMANDS = [(1.0, 2.0, 3.0), "a"]
 U_PLAN = np.zeros((2, N))
 U_PLAN[0, 7] = np.nan
 PLANS = [
     ("u_plan", dict(u_plan=np.zeros((1, N)))),
     ("u_plan", dict(u_plan=U_PLAN)),
-    ("u_plan", dict(u_plan="fast")),
     ("u_plan", dict(x_plan=np.zeros(3))),
     ("x_plan", dict(u_plan=(0.0, 0.0), x_plan=np.zeros((3, N)))),
 ]
@@ -245,12 +224,3 @@ def test_without_prepare_feedback_is_refused():
         each.feedback(**given)
         with pytest.raises(RuntimeError, match=r"prepare\(\) must be called before each feedback"):
             each.feedback(**given)
-
-
-@pytest.mark.parametrize("bound", [(1.0, 1.0), [0, 0]])
-def test_equal_bounds_are_refused_with_what_does_their_work(bound):
-    for options in (dict(bounds=BOUNDS | {"x_m": bound}), dict(terminal_bounds={"x_m": bound})):
-        with pytest.raises(ValueError, match="leave it out of `command`.*a large weight"):
-            controller(ROBOT, **options)
-    with pytest.raises(ValueError, match="leave it out of `command`.*a large weight"):
-        rhec.Bound(*bound)

@@ -7,19 +7,13 @@ import numpy as np
 import published_problems
 import pytest
 from condensed_rhc import rhc_by
-from oracles import N, drive, mpc_by_ipopt, mpc_instance
+from oracles import mpc_by_ipopt, mpc_instance
 from robots import CRAWLER, DT, ROBOTS
 
 import rhec
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SOLVERS = ["structured", "daqp", "qpoases"]
-STRAIGHT = dict(
-    pose=(0.0, 0.0, 0.0),
-    p=(0.5, 0.9, 0.8),
-    xi_ref=drive([0, 0, 0, 0.45, 1, 1], np.zeros(N))[0][:, :3].T,
-    omega_ref=np.zeros(N),
-)
 
 
 def paper_problem(problem):
@@ -54,22 +48,6 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
     assert 0.35 <= bounded / instances <= 0.95
 
 
-def test_estimate_and_references_count_in_feedback_alone():
-    """Two controllers with one past and one preparation: what differs is what feedback was given,
-    and it is all there.
-    """
-    rng = np.random.default_rng(6)
-    *past, then = [paper_problem(mpc_instance(CRAWLER, rng)) for _ in range(4)]
-    for name in then:
-        one, other = rhec.RHC(omega_max=1.0), rhec.RHC(omega_max=1.0)
-        for rhc in (one, other):
-            for problem in past:
-                rhc.prepare()
-                rhc.feedback(**problem)
-            rhc.prepare()
-        assert one.feedback(**then) != other.feedback(**then | {name: np.array(then[name]) + 0.05})
-
-
 def test_infinite_bounds_are_no_bounds():
     """Neither in the plan nor in the KKT tolerance, where 0 times infinity would be NaN."""
     robot = ROBOTS["bicycle"]
@@ -84,30 +62,6 @@ def test_infinite_bounds_are_no_bounds():
     np.testing.assert_allclose(answers[1:], answers[:1] * 2, rtol=0, atol=1e-12)
 
 
-def car():
-    """The bicycle's controller, whose speed follows a reference and is not commanded."""
-    robot = ROBOTS["bicycle"]
-    bounds = dict(steering_rad=robot.bounds["steering_rad"])
-    options = dict(robot.controller, command=(*bounds,), bounds=bounds, r=robot.r[1:])
-    return rhec.RHC(model=rhec.Model(**robot.model), dt=DT, horizon=5, **options)
-
-
-CAR = dict(x=(0.0, 0.1, 0.1), p=(0.0, 0.0), x_ref=(1.0, 0.0, 0.0), u_ref=(0.5, 0.0))
-
-
-@pytest.mark.parametrize(
-    "make, problem, name",
-    [(rhec.RHC, STRAIGHT, "pose"), (car, CAR, "x"), (car, CAR, "x_ref"), (car, CAR, "u_ref")],
-)
-def test_a_step_that_was_not_solved_has_no_kkt_tolerance(make, problem, name):
-    rhc = make()
-    rhc.feedback(**problem)
-    assert rhc.ok and np.isfinite(rhc.kkt)
-    rhc.prepare()
-    rhc.feedback(**problem | {name: np.full(np.shape(problem[name]), np.nan)})
-    assert not rhc.ok and np.isnan(rhc.kkt)
-
-
 def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
     """States of a pendulum that no plan expects, so that the search of the active set gives up."""
     pendulum = published_problems.pendulum()
@@ -119,21 +73,6 @@ def test_a_step_whose_active_set_was_not_found_has_no_kkt_tolerance():
         assert np.isfinite(rhc.kkt) == rhc.ok
         solved.append(rhc.ok)
     assert 0 < sum(solved) < 10
-
-
-def test_without_a_reference_of_inputs_the_last_plan_goes_on():
-    """Also that of the inputs that are not commanded."""
-    rhc = car()
-    rhc.feedback(**CAR)
-    before = rhc.u_plan.copy()
-    for _ in range(3):
-        rhc.prepare()
-        rhc.feedback(**CAR | dict(u_ref=(np.nan, np.nan)))
-        before = np.hstack([before[:, 1:], before[:, -1:]])
-        np.testing.assert_allclose(rhc.u_plan, before, rtol=0, atol=1e-12)
-    rhc.prepare()
-    rhc.feedback(**CAR)
-    assert rhc.ok and np.isfinite(rhc.u_plan).all()
 
 
 def headed(**options):

@@ -5,10 +5,7 @@ that are silent or lie. What holds for any Model is in test_any_robot.
 import numpy as np
 import pytest
 from helpers import weaving_yaw_rates, with_noise
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from oracles import N, drive, flat, mhe_by_ipopt, mhe_instance
-from robots import CRAWLER
+from oracles import N, drive, flat
 
 import rhec
 from benchmark.condensed import box_qp_by_library
@@ -16,12 +13,10 @@ from rhec import paper
 from rhec.core.estimator import rhe as core_rhe
 from rhec.core.solver.box_qp import box_qp
 from rhec.core.solver.rti import RealTimeIteration
-from rhec.tracked_robot import tuning
 from rhec.tracked_robot.own_loop import Estimate
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 SPEED_MODELS = ["parameter", "input"]
-ARRIVAL_MEANS = ["smoothed", "filtered"]
 GUESS = (0.0, 0.0, 0.0, 0.5, 0.9, 0.8)
 
 
@@ -32,23 +27,6 @@ def feed(rhe, z):
         rhe.prepare()
         estimates.append(rhe.feedback(reading))
     return estimates
-
-
-def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
-    """Of a full window; a third of these or more with a traction coefficient at its bound."""
-    rng, bounded = np.random.default_rng(0), 0
-    for _ in range(12):
-        guess, z = mhe_instance(CRAWLER, rng)
-        rhe = rhec.RHE(guess=tuple(guess), sigma_v=paper.SIGMA_V)
-        feed(rhe, z[:-1])
-        rhe.prepare()
-        estimate, optimum = rhe.solve(z[-1]), mhe_by_ipopt(CRAWLER, guess, z)
-        found = [*estimate.pose, *estimate.p]
-        np.testing.assert_allclose(found, [*optimum["x"], *optimum["p"]], rtol=0, atol=1e-6)
-        np.testing.assert_allclose(estimate.covariance, optimum["covariance"], rtol=1e-5, atol=1e-8)
-        assert rhe.ok and rhe.kkt < 1e-8
-        bounded += 1 in (estimate.mu, estimate.kappa)
-    assert 4 <= bounded < 12
 
 
 def test_the_first_estimate_knows_the_yaw_as_a_guess_or_a_sensor_does_and_else_not_at_all():
@@ -108,35 +86,6 @@ def test_a_line_search_finds_what_full_steps_find_of_the_same_quantities(speed_m
     np.testing.assert_allclose(searching.arrays["estimate"], by_full_steps[:6], atol=1e-9)
 
 
-@pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("arrival_mean", ARRIVAL_MEANS)
-@pytest.mark.parametrize("speed_model", SPEED_MODELS)
-@pytest.mark.parametrize("process_noise", ["printed", "prediction"])
-def test_the_arrival_cost_never_exceeds_the_inverse_of_W(process_noise, arrival_mean, speed_model):
-    """W⁻¹ - H_N positive semi-definite at every sample (paper, Sec. Arrival Cost), so P - W is; the
-    mean from where `arrival_mean` says.
-    """
-    options = dict(process_noise=process_noise, arrival_mean=arrival_mean)
-    rhe = rhec.RHE(guess=GUESS, speed_model=speed_model, sigma_v=paper.SIGMA_V, **options)
-    sigma = np.array(tuning.NOISES["rhe"][process_noise].sigma_w)
-    sigma = sigma if speed_model == "parameter" else np.delete(sigma, 3)
-    z = with_noise(drive(GUESS, weaving_yaw_rates(4 * N))[1], np.random.default_rng(7))
-    z[25, :2] = z[33:36] = np.nan
-    before = None
-    for k, reading in enumerate(z):
-        rhe.prepare()
-        memory = {name: array.copy() for name, array in rhe.iteration.current.items()}
-        if k > N:
-            P = memory["P"].reshape(2 * (len(sigma),))
-            slack = np.linalg.eigvalsh(P / np.outer(sigma, sigma) - np.eye(len(sigma)))
-            assert slack.min() > -1e-9
-            second = before["s"].reshape(N + 1, -1)[1]
-            assert np.array_equal(memory["m"], second) == (arrival_mean == "smoothed")
-        rhe.feedback(reading)
-        rhe.iteration.expand()
-        before = {name: array.copy() for name, array in rhe.iteration.previous.items()}
-
-
 # Sensors that are silent, or lie
 
 
@@ -153,21 +102,3 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel):
             np.testing.assert_array_equal(
                 np.append(one[:6], one.covariance), np.append(other[:6], other.covariance)
             )
-
-
-reading = st.floats(-3, 3) | st.floats() | st.sampled_from([np.nan, 0.0, 1e8, -1e8])
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(
-    st.lists(st.tuples(reading, reading, reading, reading), min_size=1, max_size=40),
-    st.sampled_from(SPEED_MODELS),
-    st.booleans(),
-)
-def test_whatever_the_sensors_say_estimates_stay_finite_and_traction_between_0_and_1(
-    z, speed_model, guessed
-):
-    rhe = rhec.RHE(guess=GUESS if guessed else None, speed_model=speed_model)
-    for estimate in feed(rhe, z):
-        assert np.all(np.isfinite(estimate[:6])) and np.all(np.isfinite(estimate.covariance))
-        assert 0 <= estimate.mu <= 1 and 0 <= estimate.kappa <= 1

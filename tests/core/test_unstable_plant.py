@@ -25,19 +25,10 @@ def _f(x, u, p):
 MODEL = rhec.Model(states=("pos", "vel", "angle", "rate"), inputs=("force",), f=_f)
 
 
-def controller(rail):
-    bounds = {"force": (-12.0, 12.0), "pos": rail}
-    return rhec.RHC(model=MODEL, dt=DT, horizon=N, q=tuple(Q), r=(R,), bounds=bounds)
-
-
 @pytest.fixture(scope="module")
 def hard():
-    return controller((-RAIL, RAIL))
-
-
-@pytest.fixture(scope="module")
-def soft():
-    return controller(rhec.Bound(-RAIL, RAIL, linear=1000.0))
+    bounds = {"force": (-12.0, 12.0), "pos": (-RAIL, RAIL)}
+    return rhec.RHC(model=MODEL, dt=DT, horizon=N, q=tuple(Q), r=(R,), bounds=bounds)
 
 
 def start(seed):
@@ -46,19 +37,8 @@ def start(seed):
     return np.array([pos, vel, 0.7 * np.sign(side), rate])
 
 
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("seed", range(8))
-def test_a_hard_bound_that_the_soft_plan_keeps_is_kept(hard, soft, seed):
-    for rhc in (hard, soft):
-        rhc.restart()
-        rhc.solve(x=start(seed), x_ref=GOAL, iterations=150)
-    assert np.abs(soft.x_plan[0]).max() < RAIL + 0.01
-    assert hard.ok, hard.status
-    assert np.abs(hard.x_plan[0]).max() < RAIL + 1e-5
-
-
 @pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_loop_stays_within_a_hard_bound(hard, seed):
     """Also while a step is not solved, and the plan before goes on."""
     hard.restart()
@@ -73,7 +53,7 @@ def test_a_loop_stays_within_a_hard_bound(hard, seed):
 
 
 @pytest.mark.nightly(keep=2)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_iteration_is_worse_by_cost_and_bound_and_dynamics(hard, seed):
     """With any prices of the last two, such an iteration would raise the merit."""
     x = start(seed)

@@ -1,10 +1,9 @@
 """Bounds of states hold at all nodes of an RHE's window: its optimum is the one of IPOPT."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import estimator
-from oracles import draw, drive_robot, limits, mhe_instance, robots_model, window_by_ipopt
+from oracles import draw, drive_robot, limits, mhe_by_ipopt, mhe_instance, robots_model
 from robots import BICYCLE, CART, DT, SKID_STEERED, UNICYCLE
 
 import rhec
@@ -59,7 +58,7 @@ def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds(robot, narro
             if k < len(z) - 1:
                 mhe.feedback(row, **given)
         found = mhe.solve(z[-1], iterations=60, **given)
-        optimum = window_by_ipopt(robot, guess, z, sigma_w, bounds)
+        optimum = mhe_by_ipopt(robot, guess, z, sigma_w, bounds)
         assert mhe.converged and mhe.kkt < 1e-8
         for part in ("x", "u", "p"):
             np.testing.assert_allclose(getattr(found, part), optimum[part], rtol=0, atol=1e-6)
@@ -81,77 +80,6 @@ def test_bounds_that_cannot_be_kept_end_in_a_prediction_and_a_restart():
         assert np.isfinite(np.concatenate(found[:3])).all() and found.x[0] <= WALL_M
         assert np.isnan(mhe.kkt) or mhe.ok
     assert mhe.ok and abs(found.x[0] - 0.1) < 0.05
-
-
-def test_a_window_with_bounds_of_states_restarts_after_a_prediction():
-    """The cart jumps for good, and the fourth sample there restarts the window.
-
-    A window without bounds is solved with that sample, one with bounds with the next.
-    """
-    unlimited = estimator(CART, np.zeros(3), horizon=5)
-    assert solved_after_a_jump(unlimited) == [False] * 3 + [True] * 3
-    assert solved_after_a_jump(bounded(CART, np.zeros(3), 5)) == [False] * 4 + [True] * 2
-
-
-def solved_after_a_jump(mhe):
-    """Whether an RHE solved each of six samples after a jump of 5.1 m, which it follows."""
-    solved = []
-    for position in [0.1] * 10 + [-5.0] * 6:
-        mhe.prepare()
-        x = mhe.feedback((position, 0.0)).x
-        solved.append(mhe.ok)
-    assert abs(x[0] + 5.0) < 0.05
-    return solved[10:]
-
-
-def unicycle(**options):
-    """Mehrez' robot by Euler's rule, which sees a landmark at the origin."""
-    inputs = ("v_mps", "w_radps")
-    return rhec.Model(
-        states=("x_m", "y_m", "theta_rad"), inputs=inputs, parameters={}, discrete=True,
-        outputs=("range_m", "bearing_rad", *inputs), angles=("bearing_rad",),
-        f=lambda x, u, p: [x[0] + DT * u[0] * ca.cos(x[2]), x[1] + DT * u[0] * ca.sin(x[2]),
-                           x[2] + DT * u[1]],
-        h=lambda x, u, p: [ca.hypot(x[0], x[1]), ca.atan2(x[1], x[0])], **options,
-    )  # fmt: skip
-
-
-def point_stabilisation():
-    """States (n + 1, 3) and inputs (n, 2) of his drive to (1.5, 1.5, 0), by his controller."""
-    model, states, inputs = unicycle(), [np.array([0.1, 0.1, 0.0])], []
-    mpc = rhec.RHC(
-        model=model, dt=DT, horizon=10, command=model.inputs, q=(1.0, 5.0, 0.1), r=(0.5, 0.05),
-        qn_factor=0.0, bounds={"v_mps": (-0.6, 0.6), "w_radps": (-np.pi / 4, np.pi / 4)},
-    )  # fmt: skip
-    goal = np.array([1.5, 1.5, 0.0])
-    while np.linalg.norm(states[-1] - goal) > 0.05:
-        mpc.prepare()
-        inputs.append(mpc.solve(states[-1], p=(), x_ref=goal, u_ref=(0.0, 0.0), iterations=30))
-        states.append(model.simulate(states[-1], inputs[-1], dt=DT)[-1])
-    return np.array(states), np.array(inputs)
-
-
-def test_mehrez_range_bearing_robot_keeps_its_heading():
-    """The RMSE of θ in his drive is at most 0.35 in each of 5 drives, by one iteration a sample,
-    with his noise, window and bounds of states; IPOPT without an arrival cost reaches 0.35.
-    """
-    states, inputs = point_stabilisation()
-    bounds = dict(x_m=(-2.0, 2.0), y_m=(-2.0, 2.0), theta_rad=(-np.pi / 2, np.pi / 2))
-    model, sigma_v = unicycle(state_bounds=bounds), (0.1, np.deg2rad(2), 0.005, np.deg2rad(2))
-    before = np.vstack([inputs[:1], inputs])
-    exact = np.array(model.measurement.map(len(states))(states.T, before.T, [])).T
-    options = dict(model=model, dt=DT, horizon=6, sigma_v=sigma_v, arrival_mean="filtered")
-    options |= dict(sigma_w=(0.0, 0.0, 0.0), sigma_guess=(0.3, 0.3, 1.0))
-    for seed in range(5):
-        noise = np.random.default_rng(seed).normal(size=exact.shape) * sigma_v
-        noise[:, 2:] = 0  # his robot moves exactly as commanded
-        z = exact + noise
-        place = z[0, 0] * np.array([np.cos(z[0, 1]), np.sin(z[0, 1])])
-        mhe, errors = rhec.RHE(guess=(*place, 0.0), **options), []
-        for row, true in zip(z, states):
-            mhe.prepare()
-            errors.append(mhe.feedback(row).x[2] - true[2])
-        assert np.sqrt(np.mean(np.square(errors[6:]))) <= 0.35
 
 
 def test_without_an_argument_the_noise_is_that_which_it_was_made_with():

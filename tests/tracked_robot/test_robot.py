@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import SIMPLE_WORLD, no_compiler
-from oracles import DT
+from helpers import SIMPLE_WORLD
+from oracles import DT, drive
 
 import rhec
 from rhec.core.model.robot_model import interval
@@ -109,27 +109,6 @@ def test_the_closed_loop_drives_and_measures_as_two_tracks_in_numpy(world):
     assert drift.std() > 0.005 or world == "tracks at their limit" and 0 < drift.max() < 0.3
 
 
-def test_the_position_error_has_the_deviation_and_correlation_time_asked_for():
-    """0.05² = 0.03² + 0.04², of which the latter varies slowly: 80 receivers, 100 samples."""
-    rng, receivers, samples, time_s = np.random.default_rng(1), 80, 100, 2.0
-    measure, drift = plant.measure(DT).map(receivers), np.zeros((2, receivers))
-    given = dict(gnss_sigma_m=0.05, gnss_slow_share=0.64, gnss_slow_time_s=time_s)
-    given |= dict(speed=1.0, speed_sigma_mps=0.0, pose=[3.0, -2.0, 0.4], encoders=[0.5, 0.1])
-    given = {name: np.tile(np.reshape(value, (-1, 1)), receivers) for name, value in given.items()}
-    errors = np.empty((samples, 2, receivers))
-    for k, (white, slow) in enumerate(rng.normal(size=(samples, 2, 2, receivers))):
-        running = np.full((1, receivers), k > 0)
-        result = measure(drift=drift, running=running, white=white, slow=slow, **given)
-        drift = result["drift"]
-        errors[k] = np.array(result["z"])[:2] - given["pose"][:2]
-    assert np.std(errors) == pytest.approx(0.05, rel=0.04)
-    assert np.abs(errors.mean()) < 3 * 0.04 / np.sqrt(receivers * samples * DT / time_s)
-    for lag in (5, 10, 20):
-        covariance = np.mean(errors[lag:] * errors[:-lag])
-        assert covariance == pytest.approx(0.04**2 * np.exp(-lag * DT / time_s), abs=0.04**2 * 0.1)
-    assert abs(np.mean(errors[:, 0] * errors[:, 1])) < 0.05**2 * 0.08
-
-
 def test_slip_of_the_noise_grows_in_proportion_to_the_motion_and_bumps_with_the_way():
     """Variances at 0 to 3 times a motion: a s² + b s, with b where bumps turn the robot alone.
 
@@ -176,18 +155,12 @@ def test_a_gyro_bias_walks_as_far_in_two_short_samples_as_in_a_long_one(speed_mo
 
 def of_a_circle(omega_radps, sigma_gyro, speed_model):
     """Estimates and variances after 10 s on a circle by perfect sensors."""
-    rhe = rhec.RHE(
-        guess=(0, 0, 0, 0.5, 1, 1),
-        speed_model=speed_model,
-        sensors=("gyro",),
-        sigma_gyro=sigma_gyro,
-    )
-    half = DT * omega_radps / 2
-    at = 0j
-    for k in range(50):
-        rhe.prepare()
-        estimate = rhe.feedback((at.real, at.imag, 0.5, omega_radps, omega_radps))
-        at += 0.5 * DT * np.sinc(half / np.pi) * np.exp(1j * (2 * k + 1) * half)
+    start = (0, 0, 0, 0.5, 1, 1)
+    how = dict(speed_model=speed_model, sensors=("gyro",), sigma_gyro=sigma_gyro)
+    rhe = rhec.RHE(guess=start, **how)
+    _, z = drive(start, np.full(50, omega_radps))
+    for row in z[1:]:
+        estimate = rhe.step((*row, omega_radps))
     return np.array(estimate[:6]), np.diag(estimate.covariance)
 
 
@@ -222,9 +195,7 @@ def test_an_interval_is_linear_in_the_slip_that_was_fitted_to_noise():
 @pytest.mark.parametrize("speed_mps, place", [(0.0, 4), (0.5, 5)])
 def test_an_estimate_of_traction_may_be_none(speed_mps, place):
     """Eq. (14): of tracks that run in place, μ is 0; of a robot that they do not turn, κ is."""
-    with no_compiler():
-        mhe = rhec.RHE(process_noise="prediction")
-        for k in range(100):
-            mhe.prepare()
-            found = mhe.feedback([1.0 + speed_mps * DT * k, 2.0, 0.5, 0.1])
+    mhe = rhec.RHE(process_noise="prediction")
+    for k in range(100):
+        found = mhe.step([1.0 + speed_mps * DT * k, 2.0, 0.5, 0.1])
     assert 0 <= [*found.pose, *found.p][place] < 0.02
