@@ -57,15 +57,11 @@ def test_a_gyro_makes_the_yaw_better(with_a_good_one, without):
     assert with_a_good_one < 0.8 * without
 
 
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("scale, bias", [(0.95, -0.05), (1.0, 0.05), (1.05, 0.0)])
-def test_bias_and_scale_of_a_gyro_are_estimated(scale, bias, with_a_good_one):
-    result = rhec.replay(with_gyro(scale, bias), **START)
+def test_bias_and_scale_of_a_gyro_are_estimated(with_a_good_one):
+    result = rhec.replay(with_gyro(scale=0.95, bias=-0.05), **START)
     last = result.iloc[-1]
-    for name, truth in (("gyro_bias_hat_radps", bias), ("gyro_scale_hat", scale)):
-        sigma = last[name.replace("hat_", "").replace("_hat", "").replace("gyro", "sigma_gyro")]
-        assert abs(last[name] - truth) < 3 * sigma
-    assert last["gyro_bias_hat_radps"] == pytest.approx(bias, abs=0.005)
+    assert abs(last["gyro_bias_hat_radps"] + 0.05) < min(3 * last["sigma_gyro_bias_radps"], 0.005)
+    assert abs(last["gyro_scale_hat"] - 0.95) < 3 * last["sigma_gyro_scale"]
     assert rms_of(result) < 1.1 * with_a_good_one
 
 
@@ -125,21 +121,10 @@ def test_a_gyro_carries_the_yaw_where_positions_are_missing():
     assert errors[0][gap].mean() < 0.2 * errors[1][gap].mean()
 
 
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("start_rad", [3.0, 0.4, -3.0])
-def test_a_heading_gives_the_yaw_from_the_first_sample(start_rad):
+def test_a_heading_gives_the_yaw_from_the_first_sample():
     """Also where it jumps by full turns, and without a guess of the first yaw."""
-    log = with_heading(log=recorded_log(5.0, 60.0, start_rad=start_rad, noise_m=0.05))
+    log = with_heading(log=recorded_log(5.0, 60.0, start_rad=3.0, noise_m=0.05))
     result = rhec.replay(log)
     error = (result["theta_hat_rad"] - result["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
     assert error.abs().max() < 0.1 and np.sqrt(np.mean(error**2)) < 0.02
     assert result["theta_hat_rad"].diff().abs().max() < 0.5
-
-
-@pytest.mark.nightly
-def test_calibration_finds_the_noise_of_a_gyro():
-    found = rhec.calibrate(with_gyro(sigma=0.03, log=recorded_log(5.0, 120.0, noise_m=0.03)))
-    told = found.report.loc["noise of the gyro"]
-    # At 5 Hz a sample's mean is that of two readings.
-    assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
-    assert rhec.replay(with_gyro(), **START, **found)["theta_hat_rad"].notna().all()

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import KAPPA, MU, TRACK_WIDTH_M, recorded_log
+from helpers import recorded_log
 from scipy.signal import lfilter
 
 import rhec
@@ -85,36 +85,6 @@ def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
     without, all_positions = delayed_replay(0.0, 0.0)
     assert error < 1.3 * without + 0.002 < delayed_replay(delay_s, 0.0)[0]
     assert positions >= all_positions - 2
-
-
-@pytest.fixture(scope="module")
-def calibrated():
-    log = recorded_log(5.0, 150.0, noise_m=0.03, seed=3, arm_m=(0.25, -0.1))
-    noise = 0.01 * np.random.default_rng(1).standard_normal(len(log))
-    gyro = 1.02 * log["yaw_rate_true_radps"] + 0.03 + noise
-    return rhec.log(log.assign(gyro_radps=gyro), calibrate=True)
-
-
-@pytest.mark.nightly
-def test_a_calibration_speaks_of_multipliers(calibrated):
-    terms = calibrated.parameters
-    truth = {
-        "wheel_separation_multiplier (1/κ)": 1 / KAPPA,
-        "effective track width": TRACK_WIDTH_M / KAPPA,
-        "wheel_radius_multiplier (μ)": MU,
-        "wheel_separation_multiplier with it (μ/κ)": MU / KAPPA,
-        "gyro bias": 0.03,
-        "gyro scale": 1.02,
-        "antenna ahead": 0.25,
-        "antenna left": -0.1,
-    }
-    for name, value in truth.items():
-        row = terms.loc[name]
-        assert row["low"] < row["value"] < row["high"]
-        assert row["value"] == pytest.approx(value, rel=0.03, abs=0.02), name
-    assert abs(terms.loc["delay of the positions", "value"]) < 0.05
-    for name, (value, low, high, unit) in terms.iterrows():
-        assert f"# {name}: {value:.4g} {unit} ({low:.4g} to {high:.4g})" in calibrated.yaml
 
 
 def test_the_sigma_of_a_smoother_is_that_of_errors_that_last_longer_than_a_sample():
