@@ -67,7 +67,7 @@ def test_a_models_estimates_are_at_each_rows_own_time(estimator, rate_hz, every,
     result = rhec.replay(log, estimator, delays_s=delays_s, **given)
     late = truth["t_s"].between(5, 18)
     for name, column in (("x_m", "x_m"), ("y_m", "y_m"), ("theta_rad", "yaw")):
-        np.testing.assert_allclose(result[f"{name}_hat"][late], truth[column][late], atol=0.01)
+        np.testing.assert_allclose(result[f"{name}_hat"][late], truth[column][late], atol=0.02)
     assert result["ok"].all() and (result["theta_rad_sigma"][late] < 0.2).all()
 
 
@@ -157,7 +157,7 @@ def test_parameters_are_reported_and_zeros_remain(calibrated):
     assert "noise of x_m" in str(calibrated)
 
 
-@pytest.mark.parametrize("swing_radps, is_determined", [(0.045, True), (0.04, False)])
+@pytest.mark.parametrize("swing_radps, is_determined", [(0.038, True), (0.032, False)])
 def test_a_parameter_is_determined_where_the_log_halves_its_sigma(
     swing_radps, is_determined, monkeypatch
 ):
