@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import recorded_log
+from spoilt_logs import four_headings, late
 
 import rhec
 from rhec.logs import calibration
@@ -129,3 +130,60 @@ def test_a_sample_that_does_not_count_may_have_no_loss():
     counts = [np.array([False, True])] * 2
     searched = SimpleNamespace(filtered=lambda x: recorded, counts=counts)
     assert [each.tolist() for each in Likelihood.losses(searched, None)] == [[0, 2], [0, 3]]
+
+
+# Without the search, which takes long
+
+
+def with_imu(log, rate_hz):
+    """A log with a row of its own for each sample of an IMU, as a bag has it."""
+    t = np.arange(0.003, log["t_s"].iloc[-1], 1 / rate_hz)
+    gyro = np.interp(t, log["t_s"], log["yaw_rate_true_radps"])
+    gyro += 0.005 * np.random.default_rng(0).standard_normal(len(t))
+    return pd.concat([log, pd.DataFrame(dict(t_s=t, gyro_radps=gyro))]).sort_values("t_s")
+
+
+@pytest.fixture
+def without_a_search(monkeypatch):
+    """A calibration whose noise does not count takes the middle of the priors for the likeliest."""
+    monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
+    with four_headings():
+        yield
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_a_bag_with_an_imu_is_calibrated():
+    summary = rhec.log(
+        with_imu(recorded_log(10.0, 30.0, noise_m=0.02), 30.0), calibrate=True, trust_log=True
+    )
+    found = summary.calibration
+    told = found.report["value"]
+    # All are as many times as large, so that the gains are those of the likeliest noise.
+    ratios = [
+        found["sigma_gyro"][0] / told["noise of the gyro"],
+        found["sigma_v"][2] / told["noise of ν"],
+        found["sigma_w"][1] / told["walk of κ"],
+        found["slip"][1] / told["slip in turning, share of ω"],
+    ]
+    assert ratios == pytest.approx([ratios[0]] * 4) and ratios[0] > 1
+    assert found["slip"][-1] == told["side slip"]
+    assert all(line in summary.details for line in str(found).splitlines())
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_the_delay_is_measured_without_the_noise():
+    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
+    found = rhec.calibrate(late(log, 3), trust_log=True)
+    row = found.report.loc["delay of the positions"]
+    assert any("position_delay_s" in remark for remark in found.remarks)
+    assert row["low"] < 0.3 < row["high"]
+    assert row["value"] == pytest.approx(0.3, abs=0.05)
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
+    """Its errors wander for minutes, which no log shows: 0.02 m of them is white noise."""
+    log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)
+    found = rhec.calibrate(log)
+    assert found.report.loc["noise of the position", "value"] == pytest.approx(0.8)
+    assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)
