@@ -183,9 +183,7 @@ def test_what_cannot_be_calibrated_of_a_model():
     rows = [
         (dict(horizn=5), "calibrate has no parameter 'horizn'; with a model it takes dt, sigma_v"),
         (dict(sigma_v=(0.1,)), "sigma_v was"),
-        (dict(track_width_m=0.5), "track_width_m was 0.5; a replay with a model does not take it"),
         (dict(model=None), "calibrate has no parameter 'dt' without a model"),
-        (dict(delays_s=dict(x=1.0)), "delays_s named 'x'"),
         (dict(log=drive(0, 53)[0]), "the log had 49 samples with a measurement of x_m, y"),
     ]
     given = dict(log=drive(0, 60)[0]) | GUESSED

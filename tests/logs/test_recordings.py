@@ -91,23 +91,6 @@ def test_nothing_but_a_frame_of_numbers_is_unpickled(tmp_path, content, told):
         fetch_recordings.read_frame(tmp_path / "bad.pkl")
 
 
-def test_each_source_is_whole():
-    wanted = {"repository", "commit", "path", "sha256", "licence", "citation", "robot"}
-    for source in fetch_recordings.RECORDINGS.values():
-        assert re.fullmatch("[0-9a-f]{40}", source["commit"])
-        if "not_run" in source:
-            assert wanted - {"sha256"} < set(source)
-            continue
-        assert wanted < set(source)
-        assert re.fullmatch("[0-9a-f]{64}", source["sha256"])
-
-
-def test_what_is_not_run_is_not_fetched(tmp_path, capsys):
-    table = dict(far=dict(not_run="too large"))
-    fetch_recordings.main("http://127.0.0.1:1", tmp_path, table)
-    assert capsys.readouterr().out == "far: not fetched, too large\n"
-
-
 def test_the_columns_of_a_recording_that_is_not_run_fit_its_documented_topics(tmp_path):
     """CitrusFarm's two files of a sequence in one folder, as documented, become a log."""
     source = fetch_recordings.RECORDINGS["citrusfarm"]

@@ -202,6 +202,17 @@ def test_the_first_estimate_is_as_unsure_as_a_guess_is():
     assert [*told] == pytest.approx([0.3, *paper.SIGMA_W_RHE[4:], 0.1], rel=0.02)
 
 
+@may_be_unsure
+def test_a_log_of_one_row_has_one_estimate():
+    assert rhec.replay(LOG[:1])[ESTIMATE].notna().all(axis=None)
+
+
+def test_an_unknown_first_yaw_is_found():
+    log = recorded_log(start_rad=-2.9, noise_m=0.02)
+    result = rhec.replay(log, smooth=False)
+    assert scores.yaw_error(result)[result["t_s"] > 15].abs().max() < 0.15
+
+
 def test_nothing_is_said_before_the_first_position():
     log = LOG.assign(x_m=LOG["x_m"].where(LOG["t_s"] > 3.0))
     result = rhec.replay(log, first_yaw_rad=0.4)
@@ -343,28 +354,6 @@ def test_rows_out_of_time_change_nothing(estimates):
         result.loc[[600, 601], ESTIMATE], estimates.loc[[100, 100], ESTIMATE]
     )
     assert result.attrs["faults"]["unusable_times"] == 4
-
-
-@may_be_unsure
-@pytest.mark.parametrize(
-    "broken",
-    [
-        lambda log: log.assign(t_s=np.where(log.index < 300, log["t_s"], log["t_s"] - 20.0)),
-        lambda log: log.iloc[:1],
-        lambda log: log.assign(x_m=np.where(log.index % 7 == 0, 1e7, log["x_m"])),
-        # Each twentieth row before the one that was first; of many more a log is unsorted.
-        lambda log: log.iloc[log.index.to_numpy() ^ (log.index % 40 < 2)],
-    ],
-)
-def test_estimates_are_finite_whatever_the_log_lacks(broken):
-    log = broken(LOG)
-    result = rhec.replay(log, first_yaw_rad=None)
-    assert len(result) == len(log)
-    # A first position a thousand kilometres away is none, and there is no estimate before one.
-    begin = 2 if abs(log["x_m"].iloc[0]) > 1e6 else 0
-    assert np.isfinite(result[ESTIMATE].iloc[begin:]).all(axis=None)
-    result = result.iloc[begin:]
-    assert result[["mu_hat", "kappa_hat"]].stack().between(0, 1).all()
 
 
 # Files

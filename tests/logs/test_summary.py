@@ -95,13 +95,6 @@ def test_a_robot_that_drifts_has_its_kappa_nevertheless():
     assert not any("κ is above 1" in each for each in summary.doubts)
 
 
-def test_a_kappa_above_one_is_doubted():
-    log = LOG.assign(yaw_rate_radps=0.8 * LOG["yaw_rate_true_radps"])
-    summary = rhec.log(log)
-    assert summary.traction.loc["κ", "low"] > 1
-    assert any("κ is above 1" in each for each in summary.doubts)
-
-
 def test_a_log_without_turns_does_not_tell_kappa():
     rng = np.random.default_rng(0)
     t = np.arange(0, 60, 0.2)
@@ -111,21 +104,6 @@ def test_a_log_without_turns_does_not_tell_kappa():
     assert [*summary.taken] == ["positions", "encoders", "track width"]
     verdict = summary.verdict
     assert verdict.startswith("Cannot tell yet: κ is not excited: drive two figures of eight")
-
-
-def test_tracks_that_slip_more_than_the_noise_says_widen_what_is_said():
-    """Slip that comes and goes shows where positions are hidden."""
-    log = recorded_log(5.0, 120.0, noise_m=0.02, seed=3)
-    rng = np.random.default_rng(2)
-    times = np.arange(0, 121, 4.0)
-    wanders = np.interp(log["t_s"], times, 0.3 * rng.standard_normal(len(times)))
-    slips = log.assign(yaw_rate_radps=log["yaw_rate_radps"] + wanders)
-    summary = rhec.log(slips, trust_log=True)
-    says, sure = (summary.numbers[name] for name in ("inflation", "hidden_covered"))
-    assert says > 1.5 and sure < 0.8 * summary.numbers["hidden"]
-    # What is said of the yaw then is as much wider, and right.
-    error = (summary.way["theta_hat_rad"] - summary.way["theta_rad"] + np.pi) % (2 * np.pi) - np.pi
-    assert (error.abs() < 1.96 * summary.way["sigma_theta_rad"]).mean() > 0.9
 
 
 def test_what_the_course_adds_to_the_yaws_deviation_stays_when_the_rest_is_widened():
@@ -299,12 +277,6 @@ def test_gnss_of_1_hz_is_tested_whatever_its_phase(offset):
     assert len(hidden_errors(prepare(log), stays)) >= 5
 
 
-def test_the_log_of_a_simulated_run_is_taken_as_it_is(run):
-    """Its true speeds are computed from other columns, which none of its own names."""
-    summary = rhec.log(run.log[:150])
-    assert "x_m" in summary.taken["truth, unseen"] and "κ" in summary.traction.index
-
-
 def test_what_a_check_warns_of_is_not_trusted():
     page = str(rhec.log(LOG.assign(x_m=LOG["x_m"] + 420e3 * (LOG["t_s"] > 36)))).splitlines()
     assert page[-2].startswith("Do not trust it yet: the log's x_m, y_m jump by 420 km")
@@ -316,12 +288,13 @@ def at_mu(mu):
     return LOG.assign(speed_mps=MU / mu * LOG["speed_mps"])
 
 
-WORDS = "is no traction", "times too small", "could be hidden"
+WORDS = "is no traction", "times too small", "could be hidden", "κ is above 1"
 # {a log: (it, the doubts that are said of it)}
 DOUBTS = {
     "μ of 1.3": (at_mu(1.3), []),
     "μ of 1.45": (at_mu(1.45), ["times too small"]),
     "μ of 1.55": (at_mu(1.55), ["is no traction", "times too small"]),
+    "κ of 1.25": (LOG.assign(yaw_rate_radps=0.8 * LOG["yaw_rate_true_radps"]), ["κ is above 1"]),
     "36 s": (recorded_log(5.0, 36.0, noise_m=0.02, seed=3), []),
     "33 s": (recorded_log(5.0, 33.0, noise_m=0.02, seed=3), ["could be hidden"]),
 }
