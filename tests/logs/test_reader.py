@@ -44,14 +44,6 @@ def test_the_separators_of_a_table_are_found_and_told(tmp_path, separator, decim
     assert log.attrs["inferred"]["decimal"] == {".": "point", ",": "comma"}[decimal]
 
 
-def test_numbers_with_a_comma_stand_in_quotes_where_commas_separate(tmp_path):
-    log = LOG.assign(note="3,4 m")
-    file = written(tmp_path, log, decimal=",")
-    assert file.read_text().splitlines()[5].startswith('"0,4","0,2"')
-    pd.testing.assert_frame_equal(rhec.logs.read(file), log, check_dtype=False)
-    pd.testing.assert_frame_equal(rhec.logs.read(written(tmp_path, log)), log, check_dtype=False)
-
-
 @pytest.mark.parametrize(
     "name, of_seconds, told",
     [
@@ -84,16 +76,6 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     log = rhec.logs.read(file)
     assert log.attrs["inferred"]["time"] == f"{told}, column {name}"
     np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
-
-
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
-def test_a_separator_at_the_end_of_each_row_is_no_column(tmp_path, separator):
-    """As many loggers write it; no column may be read as its neighbour."""
-    names, *rows = written(tmp_path, LOG, sep=separator).read_text().splitlines()
-    for head in (names, names + separator):
-        (tmp_path / "log.csv").write_text("\n".join([head, *(row + separator for row in rows)]))
-        log = rhec.logs.read(tmp_path / "log.csv")
-        pd.testing.assert_frame_equal(log[[*LOG]], LOG)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
@@ -318,10 +300,17 @@ def test_topics_are_chosen_or_found(many):
             "__time,/gps/pose/position/x,y_m\n0.0,-1.5,2\n0.1,-2.5,3\n",
             {"x_m": "-/gps/pose/position/x"},
         ),
+        # Where commas separate, a number with a comma stands in quotes.
+        ('t_s,x_m,y_m,note\n"0,0","1,5",2,"3,4 m"\n"0,1","2,5",3,\n', None),
+        ('t_s,x_m,y_m,note\n0.0,1.5,2,"3,4 m"\n0.1,2.5,3,\n', None),
+        # A separator at the end of each row is no column.
+        ("t_s,x_m,y_m\n0.0,1.5,2,\n0.1,2.5,3,\n", None),
+        ("t_s;x_m;y_m;\n0.0;1.5;2;\n0.1;2.5;3;\n", None),
+        ("t_s x_m y_m\n0.0 1.5 2 \n0.1 2.5 3 \n", None),
     ],
 )
 @pytest.mark.parametrize("suffix", ["csv", "dat", "txt"])
-def test_remarks_and_other_names_are_read(tmp_path, text, columns, suffix):
+def test_a_table_of_any_logger_is_read(tmp_path, text, columns, suffix):
     (tmp_path / f"log.{suffix}").write_text(text)
     log = rhec.logs.read(tmp_path / f"log.{suffix}", columns=columns)
     np.testing.assert_allclose(log[["t_s", "x_m", "y_m"]], [[0.0, 1.5, 2], [0.1, 2.5, 3]])

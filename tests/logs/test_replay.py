@@ -213,6 +213,12 @@ def test_an_unknown_first_yaw_is_found():
     assert scores.yaw_error(result)[result["t_s"] > 15].abs().max() < 0.15
 
 
+@may_be_unsure
+def test_a_receiver_that_declares_more_noise_is_believed(estimates):
+    declared = rhec.replay(LOG.assign(position_sigma_m=1.0), first_yaw_rad=0.4)
+    assert declared["sigma_x_m"].iloc[-1] > 3 * estimates["sigma_x_m"].iloc[-1]
+
+
 def test_nothing_is_said_before_the_first_position():
     log = LOG.assign(x_m=LOG["x_m"].where(LOG["t_s"] > 3.0))
     result = rhec.replay(log, first_yaw_rad=0.4)
