@@ -122,6 +122,9 @@ def test_a_hypothesis_holds_from_an_amount_on(what, monkeypatch):
         log = calibration._Log(recording, [0.4], 0.0, 0.0, (amount, other))
         found = hypothesis(log, calibration._fitted(log, 0.0))
         assert (found is not None) == holds, (amount, other)
+        if found:
+            keeps_defaults = "sigma_v" not in calibration._arguments(log, found[0])
+            assert keeps_defaults == ("worse" in what)
 
 
 def test_a_sample_that_does_not_count_may_have_no_loss():

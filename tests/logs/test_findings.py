@@ -168,6 +168,10 @@ def plain(driven_m=40.0, turned_rad=20.0):
     )
 
 
+def unfilled(turned_rad=20.0):
+    return plain(40.0, turned_rad).assign(yaw_rate_radps=0.0)
+
+
 def carried(way_m):
     """Carried in the first of two pauses."""
     paused = change(T > 80, t_s=T + 99, x_m=X + way_m)
@@ -206,6 +210,7 @@ WORDS = pd.Series(np.where(LOG.index % 3, "FIX", "SINGLE"), dtype=object)
 WORDS[5] = np.nan
 UNSIGNED = REVERSES.assign(speed_mps=REVERSES["speed_mps"].abs())
 UNTURNED = LOG.assign(yaw_rate_radps=TURN.abs())
+BACKWARDS = by_sides(-1, 1)
 OF_THE_MAP = LOG.assign(speed_mps=SPEED * np.cos(LOG["yaw_true_rad"]))
 # {what is wrong: (log, pattern of what is said of it)}; what has an amount is in LIMITS
 WRONG = {
@@ -233,10 +238,7 @@ WRONG = {
     "a column twice": (pd.concat([LOG, LOG[["x_m"]]], axis=1), "several columns x_m; it should"),
     "no rows": (LOG[:0], "DataFrame without rows; it should be a DataFrame with rows"),
     "no table": (7, "int; it should be a DataFrame with rows"),
-    "words in pos_ok": (
-        LOG.assign(pos_ok=WORDS),
-        "pos_ok had the words 'SINGLE', 'FIX'; it should",
-    ),
+    "words in pos_ok": (LOG.assign(pos_ok=WORDS), "pos_ok had the words 'SINGLE', 'FIX'; it"),
     "words in encoders_ok": (LOG.assign(encoders_ok=WORDS), "encoders_ok had the words 'SINGLE'"),
     "no position that counts": (LOG.assign(pos_ok=0), "pos_ok is true in none of 1500 rows"),
     "positions by GPS time": (
@@ -264,7 +266,7 @@ WRONG = {
     ),
     "no speed as -1": (
         LOG.assign(speed_mps=SPEED.where(LOG.index % 7 > 0, -1)),
-        "values of speed_mps are left out",
+        "speed_mps are left out",
     ),
     "gyro of another clock": (
         LOG.assign(gyro_radps=np.roll(LOG["yaw_rate_true_radps"], 400)),
@@ -317,12 +319,7 @@ LIMITS = {
     "no encoders move [s]": (lambda s: dead(0, 0, during(s)), "both .* 0 .* for 3 s", 7.2, 7.6),
     "left encoder dead": (lambda s: dead(0, 1, during(s)), "left .* shows 0", 7.2, 7.6),
     "outliers": (lambda m: change(T == 70, x_m=X + m), "of 1500 positions", 0.80, 0.85),
-    "carried by hand in a pause": (
-        lambda s: change(T > 80, t_s=T + s, x_m=X + 3),
-        "a pause",
-        29,
-        31,
-    ),
+    "carried by hand in a pause": (lambda s: change(T > 80, t_s=T + s, x_m=X + 3), "pause", 29, 31),
     "carried [m]": (carried, "after a pause", 0.9, 1.02),
     "a gyro's scale": (lambda k: gyro(scale=k), "of another axis .* 0.0959", 0.138, 0.128),
     "gyro in degrees": (lambda k: gyro(scale=k), "in degrees", 12.9, 13.7),
@@ -346,43 +343,28 @@ LIMITS = {
     "odometry as positions": (integrated, "are the integral", 1.0020, 1.0016),
     "of the encoders, noisy": (lambda m: noisy(m, integrated()), "the integral", 0.0015, 0.0011),
     "another clock [s]": (lambda s: in_rows_of_their_own(LOG, s), "are by a clock", 66.0, 63.0),
-    "another clock, noisy": (
-        lambda m: in_rows_of_their_own(noisy(m), 18.0),
-        "are by a clock",
-        0.12,
-        0.10,
-    ),
+    "another clock, noisy": (lambda m: in_rows_of_their_own(noisy(m), 18), "are by a", 0.12, 0.10),
     # A fault is named where without it 90 % of the path is explained.
     "an encoder backwards, slip": (
-        lambda w: slips(by_sides(-1, 1), W, w),
-        "left encoder may count",
+        lambda w: slips(BACKWARDS, W, w),
+        "left encoder may",
         0.95,
         0.82,
     ),
     "an encoder backwards, noisy": (
-        lambda m: noisy(m, by_sides(-1, 1)),
-        "left encoder may count",
+        lambda m: noisy(m, BACKWARDS),
+        "left encoder may",
         0.065,
         0.054,
     ),
     "a yaw rate's ripple": (
-        lambda w: LOG.assign(yaw_rate_radps=w / 2 * np.sin(T)),
-        "in all rows, but",
+        lambda w: LOG.assign(**{W: w / 2 * np.sin(T)}),
+        "in all rows",
         0.0104,
         0.0096,
     ),
-    "yaw rate never filled": (
-        lambda w: plain(40.0, w).assign(**{W: 0.0}),
-        "in all rows, but",
-        2.65,
-        2.9,
-    ),
-    "no yaw rate, noisy": (
-        lambda m: noisy(m, plain().assign(**{W: 0.0})),
-        "in all rows, but",
-        0.3,
-        0.2,
-    ),
+    "yaw rate never filled": (unfilled, "in all rows, but", 2.65, 2.9),
+    "no yaw rate, noisy": (lambda m: noisy(m, unfilled()), "in all rows, but", 0.3, 0.2),
     "speed without a sign": (lambda v: once(UNSIGNED, V, -v), "has no sign", 0.031, 0.029),
     "yaw rate without a sign": (lambda w: once(UNTURNED, W, -w), "has no sign", 0.021, 0.019),
     "without a sign, noisy": (lambda m: noisy(m, UNTURNED), "radps has no sign", 0.060, 0.048),

@@ -49,7 +49,7 @@ def curve(rate_hz):
     [
         (5.0, {}, {}),
         (8.0, {}, {}),
-        (42.0, dict(speed_mps=6, x_m=14, y_m=14), {}),
+        (42.0, dict(speed_mps=6, yaw_rate_radps=84, x_m=14, y_m=14), {}),
         (20.0, {}, dict(x_m=0.7, y_m=0.7)),
         (20.0, {}, dict(speed_mps=1.2, y_m=-0.3)),
     ],
