@@ -59,6 +59,16 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
     assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
 
 
+@pytest.mark.nightly
+def test_calibration_finds_the_noise_of_a_gyro():
+    log = recorded_log(5.0, 120.0, noise_m=0.03)
+    noise = 0.03 * np.random.default_rng(2).standard_normal(len(log))
+    found = rhec.calibrate(log.assign(gyro_radps=log["yaw_rate_true_radps"] + noise))
+    told = found.report.loc["noise of the gyro"]
+    # At 5 Hz a sample's mean is that of two readings.
+    assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+
+
 def test_a_calibration_prints_what_is_documented_here(calibrated):
     """Many of its numbers were tuned: whoever changes one sees here what follows for a user.
 
@@ -169,13 +179,18 @@ def test_a_bag_with_an_imu_is_calibrated():
     ]
     assert ratios == pytest.approx([ratios[0]] * 4) and ratios[0] > 1
     assert found["slip"][-1] == told["side slip"]
+    assert {"gyro bias", "noise of the position"} <= {*summary.parameters.index}
     assert all(line in summary.details for line in str(found).splitlines())
 
 
 @pytest.mark.usefixtures("without_a_search")
-def test_the_delay_is_measured_without_the_noise():
+def test_a_delay_is_measured_and_made_up_for():
     log = recorded_log(10.0, 60.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
-    found = rhec.calibrate(late(log, 3), trust_log=True)
+    summary = rhec.log(late(log, 3), calibrate=True, trust_log=True)
+    found = summary.calibration
+    assert summary.judged.first.lever_arm_m == found["lever_arm_m"]
+    off_m = np.hypot(*(summary.estimates[f"{name}_hat_m"] - log[f"{name}_true_m"] for name in "xy"))
+    assert off_m.median() < 0.05
     row = found.report.loc["delay of the positions"]
     assert any("position_delay_s" in remark for remark in found.remarks)
     assert row["low"] < 0.3 < row["high"]

@@ -171,6 +171,7 @@ def test_its_yaml_is_what_ros_reads(summary):
     process = told["ekf_filter_node"]["process_noise_covariance"]
     matrix = np.reshape(process, (15, 15))
     assert (matrix == np.diag(np.diag(matrix))).all() and (np.diag(matrix) > 0).all()
+    assert "antenna ahead" in summary.parameters.index
     for name, (value, low, high, unit) in summary.parameters.iterrows():
         assert f"# {name}: {value:.4g} {unit} ({low:.4g} to {high:.4g})" in summary.yaml
 
@@ -297,9 +298,11 @@ DOUBTS = {
     "κ of 1.25": (LOG.assign(yaw_rate_radps=0.8 * LOG["yaw_rate_true_radps"]), ["κ is above 1"]),
     "36 s": (recorded_log(5.0, 36.0, noise_m=0.02, seed=3), []),
     "33 s": (recorded_log(5.0, 33.0, noise_m=0.02, seed=3), ["could be hidden"]),
+    "κ of 1.003": (LOG.assign(yaw_rate_radps=0.997 * LOG["yaw_rate_true_radps"]), []),
 }
 
 
+@pytest.mark.nightly(keep=6)
 @pytest.mark.parametrize("what", DOUBTS)
 def test_a_doubt_begins_at_an_amount(what):
     log, doubts = DOUBTS[what]
