@@ -21,7 +21,7 @@ LONGEST = (
     "embedded/test_export.py",
     "logs/test_findings.py",
     "logs/test_summary.py",
-    "logs/test_spoilt.py",
+    "logs/test_calibrate.py",
     "core/test_any_robot.py",
     "notebooks/test_tutorial.py",
     "project/test_benchmark.py",

@@ -80,18 +80,6 @@ def test_a_bag_with_too_many_values_is_refused(tmp_path, monkeypatch):
         rhec.logs.read(file, columns=columns)
 
 
-def test_fields_leave_the_other_roles_to_the_topics(tmp_path):
-    """A wheel radius makes speeds of wheels, in rad/s, speeds of tracks."""
-    messages = [each for each in driven() if each[0] == "/drive"]
-    messages += [("/pose", at(row), pose_stamped(row, 2 * row)) for row in range(N)]
-    columns = {"v_left_mps": "/drive.speeds[0]", "v_right_mps": "/drive.speeds[1]"}
-    file = write_bag(tmp_path, "mcap", messages)
-    log = rhec.logs.read(file, columns=columns, wheel_radius_m=0.5)
-    np.testing.assert_array_equal(log["y_m"], 2 * np.arange(N))
-    np.testing.assert_array_equal(log["v_left_mps"], 0.5 * np.arange(N))
-    assert (log["v_right_mps"] == 1.0).all()
-
-
 def test_of_two_topics_of_a_type_the_first_has_the_positions_and_the_last_the_speeds(tmp_path):
     of_topic = {"/receiver": (1.0, 2.0, 3.0, 4.0), "/wheels": (5.0, 6.0, 7.0, 8.0)}
     messages = [
@@ -105,16 +93,6 @@ def test_of_two_topics_of_a_type_the_first_has_the_positions_and_the_last_the_sp
         found = log[["x_m", "y_m", "speed_mps", "yaw_rate_radps"]].iloc[0]
         assert tuple(found) == (*of_topic[first][:2], *of_topic[last][2:])
         assert "gyro" not in log.attrs["inferred"]  # which none of the topics is for
-
-
-def test_a_bag_without_the_usual_topics_is_read_by_fields_alone(tmp_path):
-    messages = [each for each in driven() if each[0] == "/drive"]
-    file = write_bag(tmp_path, "mcap", messages)
-    log = rhec.logs.read(file, columns={"wheel": "/drive.speeds[0]"})
-    assert [*log] == ["t_s", "wheel"]
-    assert log.attrs["inferred"]["positions"].startswith("none: no topic for positions")
-    with pytest.raises(ValueError, match="no column x_m.*it has t_s, wheel .*positions: none: no"):
-        rhec.replay(log)
 
 
 DECLARED = [((0.04, 0.16), 0.1**0.5), ((2.5e4, 2.5e4), np.nan), ((-1.0, -1.0), np.nan)]
@@ -138,11 +116,15 @@ def test_the_noise_that_a_receiver_declares_is_a_column(tmp_path, variances, sig
 
 
 def test_a_user_may_name_the_joints_of_a_side(tmp_path):
+    """A wheel radius makes speeds of wheels those of tracks; positions come from their topic."""
     bag, _ = recorded(tmp_path, "mcap", rows=20)
+    with pytest.raises(ValueError, match="wheel_radius_m was None; /joints has wheel speeds in"):
+        rhec.logs.read(bag)
     columns = dict(v_left_mps="-/joints.velocity[left]", v_right_mps="/joints.velocity[right]")
     log = rhec.logs.read(bag, columns=columns, wheel_radius_m=0.5)
     np.testing.assert_array_equal(log["v_left_mps"], -0.5 * np.arange(20))
     np.testing.assert_array_equal(log["v_right_mps"], np.arange(20))
+    np.testing.assert_array_equal(log["y_m"], -np.arange(20))
 
 
 # Axes and clocks
@@ -258,16 +240,6 @@ def test_a_bag_may_have_letters_of_a_uri_in_its_name(tmp_path):
 
 
 # Bags that were made to do harm
-
-
-def test_the_bag_that_is_checked_is_the_one_that_is_read(tmp_path):
-    """By a URI without quotes, `x#.db3` would be the file `x` beside it."""
-    (tmp_path / "other").mkdir()
-    _, file = recorded(tmp_path, "folder", rows=20)
-    _, other = recorded(tmp_path / "other", "folder", rows=10)
-    checked = shutil.copy(file, tmp_path / "x#.db3")
-    shutil.copy(other, tmp_path / "x")
-    assert len(rhec.logs.read(checked, wheel_radius_m=0.5)) == 20
 
 
 PACKED = [("bag", "LZ4"), ("mcap", "STORAGE"), ("folder", "MESSAGE"), ("mcap", "MESSAGE")]

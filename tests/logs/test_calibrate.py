@@ -1,13 +1,12 @@
 """Calibration of a recorded robot by its log alone; what a replay says of its log."""
 
-import functools
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import may_be_unsure, recorded_log
-from scipy.signal import lfilter
+from helpers import recorded_log
+from spoilt_logs import four_headings, late
 
 import rhec
 from rhec.logs import calibration
@@ -38,27 +37,9 @@ delay of the positions       0.00901 -0.04757  0.06559       s        True
 
 @pytest.fixture(scope="module")
 def calibrated():
-    """A function of the noise of the positions [m]: a log, the antenna off the centre, and its
-    calibration, which is made when it is first asked for.
-    """
-
-    @functools.cache
-    def of(noise_m):
-        log = recorded_log(5.0, 80.0, noise_m=noise_m, seed=3, arm_m=ARM_M)
-        return log, rhec.calibrate(log)
-
-    return of
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("noise_m", [0.03, 0.1])
-def test_calibration_finds_how_good_the_positions_are(calibrated, noise_m):
-    _, found = calibrated(noise_m)
-    told = found.report.loc["noise of the position"]
-    # The interval of one log misses one time in twenty.
-    assert told["determined"] and 0.95 * told["low"] < noise_m < 1.05 * told["high"]
-    assert found["sigma_v"][0] == found["sigma_v"][1] > told["value"]
-    assert told["value"] == pytest.approx(noise_m, rel=0.2)
+    """A log, the antenna off the centre, and its calibration."""
+    log = recorded_log(5.0, 80.0, noise_m=0.03, seed=3, arm_m=ARM_M)
+    return log, rhec.calibrate(log)
 
 
 def test_hubers_loss_shrinks_a_deviation_as_the_report_corrects():
@@ -78,90 +59,36 @@ def test_positions_are_never_taken_to_be_better_than_receivers_are():
     assert found["slip"][0] < 0.1 and found["slip"][2] < 0.06
 
 
+@pytest.mark.nightly
+def test_calibration_finds_the_noise_of_a_gyro():
+    log = recorded_log(5.0, 120.0, noise_m=0.03)
+    noise = 0.03 * np.random.default_rng(2).standard_normal(len(log))
+    found = rhec.calibrate(log.assign(gyro_radps=log["yaw_rate_true_radps"] + noise))
+    told = found.report.loc["noise of the gyro"]
+    # At 5 Hz a sample's mean is that of two readings.
+    assert told["determined"] and told["value"] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+
+
 def test_a_calibration_prints_what_is_documented_here(calibrated):
     """Many of its numbers were tuned: whoever changes one sees here what follows for a user.
 
     They are compared to a tenth, because a search ends elsewhere on other processors.
     """
-    _, found = calibrated(0.03)
+    _, found = calibrated
     printed, _ = str(found).split("\nThe log does not determine: ")
     for one, other in zip(printed.split(), PRINTED.split(), strict=True):
         assert one == other or float(one) == pytest.approx(float(other), rel=0.1, abs=5e-4)
     assert found["sigma_v"][0] == pytest.approx(0.047, rel=0.1)
-
-
-def test_calibration_finds_the_lever_arm(calibrated):
-    _, found = calibrated(0.03)
     np.testing.assert_allclose(found["lever_arm_m"], ARM_M, atol=0.03)
-    assert found.report.loc[["antenna ahead", "antenna left"], "determined"].all()
 
 
 def test_replay_takes_a_calibration_and_is_better_for_it(calibrated):
-    log, found = calibrated(0.03)
+    log, found = calibrated
     errors = [
         (result["theta_hat_rad"] - result["theta_rad"])[len(log) // 4 :].abs().mean()
         for result in (rhec.replay(log, first_yaw_rad=0.4, **how) for how in ({}, found))
     ]
     assert errors[1] < errors[0]
-
-
-def wandering(log, sigma_m=0.3, tau_s=5.0, seed=0):
-    """A log whose positions are off by a Gauss-Markov process."""
-    a = np.exp(-0.2 / tau_s)
-    steps = sigma_m * np.sqrt(1 - a**2) * np.random.default_rng(seed).normal(size=(len(log), 2))
-    return log.assign(
-        **dict(
-            zip(
-                ["x_m", "y_m"],
-                (log[["x_m", "y_m"]] + lfilter([1], [1, -a], steps, axis=0)).to_numpy().T,
-            )
-        )
-    )
-
-
-@pytest.fixture(scope="module")
-def wandered():
-    log = wandering(recorded_log(5.0, 300.0, noise_m=0.02, seed=3))
-    return log, rhec.calibrate(log, trust_log=True)
-
-
-@pytest.mark.nightly
-@may_be_unsure
-def test_encoders_are_not_blamed_for_positions_that_wander(wandered):
-    """The log's encoders are exact; wandering positions are noisy ones, if far apart."""
-    log, found = wandered
-    assert any("wander" in remark for remark in found.remarks)
-    value = found.report["value"]
-    assert value["noise of the position"] > 0.15
-    assert value["noise of ω"] < 0.1 and value["slip in turning, share of ω"] < 0.2
-    replays = [
-        rhec.replay(log, first_yaw_rad=0.4, **how)[len(log) // 4 :]
-        for how in ({"trust_log": True}, found)
-    ]
-    errors = [np.sqrt(((r["theta_hat_rad"] - r["theta_rad"]) ** 2).mean()) for r in replays]
-    assert errors[1] < 0.7 * errors[0]
-
-
-@pytest.mark.nightly
-def test_a_calibration_that_predicts_worse_is_not_kept(calibrated, monkeypatch):
-    """Positions hidden for ten seconds judge it: here one that trusts no encoder."""
-    log, found = calibrated(0.03)
-    assert "sigma_v" in found and not any("kept" in remark for remark in found.remarks)
-
-    def spoilt_fields(fields, names):
-        return fields | dict(sigma_v=(0.03, 0.03, 5.0, 5.0))
-
-    monkeypatch.setattr(calibration, "_widened", spoilt_fields)
-    spoilt = rhec.calibrate(log)
-    assert "sigma_v" not in spoilt and "defaults are kept" in spoilt.remarks[-1]
-
-
-@pytest.mark.nightly
-def test_calibration_does_not_look_at_the_truth(calibrated):
-    log, found = calibrated(0.03)
-    truth = log.columns[log.columns.str.contains("true")]
-    assert len(truth) == 5
-    assert rhec.calibrate(log.assign(**dict.fromkeys(truth, 7.0))) == found
 
 
 def test_a_hypothesis_that_holds_takes_the_place_of_what_was_assumed():
@@ -205,6 +132,9 @@ def test_a_hypothesis_holds_from_an_amount_on(what, monkeypatch):
         log = calibration._Log(recording, [0.4], 0.0, 0.0, (amount, other))
         found = hypothesis(log, calibration._fitted(log, 0.0))
         assert (found is not None) == holds, (amount, other)
+        if found:
+            keeps_defaults = "sigma_v" not in calibration._arguments(log, found[0])
+            assert keeps_defaults == ("worse" in what)
 
 
 def test_a_sample_that_does_not_count_may_have_no_loss():
@@ -213,3 +143,64 @@ def test_a_sample_that_does_not_count_may_have_no_loss():
     counts = [np.array([False, True])] * 2
     searched = SimpleNamespace(filtered=lambda x: recorded, counts=counts)
     assert [each.tolist() for each in Likelihood.losses(searched, None)] == [[0, 2], [0, 3]]
+
+
+# Without the search, which takes long
+
+
+def with_imu(log, rate_hz):
+    """A log with a row of its own for each sample of an IMU, as a bag has it."""
+    t = np.arange(0.003, log["t_s"].iloc[-1], 1 / rate_hz)
+    gyro = np.interp(t, log["t_s"], log["yaw_rate_true_radps"])
+    gyro += 0.005 * np.random.default_rng(0).standard_normal(len(t))
+    return pd.concat([log, pd.DataFrame(dict(t_s=t, gyro_radps=gyro))]).sort_values("t_s")
+
+
+@pytest.fixture
+def without_a_search(monkeypatch):
+    """A calibration whose noise does not count takes the middle of the priors for the likeliest."""
+    monkeypatch.setattr(Likelihood, "most_likely", lambda each: np.zeros(len(each.unknowns)))
+    with four_headings():
+        yield
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_a_bag_with_an_imu_is_calibrated():
+    log = recorded_log(10.0, 150.0, noise_m=0.02, seed=3)[:300]
+    summary = rhec.log(with_imu(log, 30.0), calibrate=True, trust_log=True)
+    found = summary.calibration
+    told = found.report["value"]
+    # All are as many times as large, so that the gains are those of the likeliest noise.
+    ratios = [
+        found["sigma_gyro"][0] / told["noise of the gyro"],
+        found["sigma_v"][2] / told["noise of ν"],
+        found["sigma_w"][1] / told["walk of κ"],
+        found["slip"][1] / told["slip in turning, share of ω"],
+    ]
+    assert ratios == pytest.approx([ratios[0]] * 4) and ratios[0] > 1
+    assert found["slip"][-1] == told["side slip"]
+    assert {"gyro bias", "noise of the position"} <= {*summary.parameters.index}
+    assert all(line in summary.details for line in str(found).splitlines())
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_a_delay_is_measured_and_made_up_for():
+    log = recorded_log(10.0, 60.0, noise_m=0.02, seed=5, arm_m=(0.6, -0.2))
+    summary = rhec.log(late(log, 3), calibrate=True, trust_log=True)
+    found = summary.calibration
+    assert summary.judged.first.lever_arm_m == found["lever_arm_m"]
+    off_m = np.hypot(*(summary.estimates[f"{name}_hat_m"] - log[f"{name}_true_m"] for name in "xy"))
+    assert off_m.median() < 0.05
+    row = found.report.loc["delay of the positions"]
+    assert any("position_delay_s" in remark for remark in found.remarks)
+    assert row["low"] < 0.3 < row["high"]
+    assert row["value"] == pytest.approx(0.3, abs=0.05)
+
+
+@pytest.mark.usefixtures("without_a_search")
+def test_noise_that_the_receiver_declares_is_the_noise_that_ros_gets():
+    """Its errors wander for minutes, which no log shows: 0.02 m of them is white noise."""
+    log = recorded_log(5.0, 75.0, noise_m=0.02, seed=3).assign(position_sigma_m=0.8)
+    found = rhec.calibrate(log)
+    assert found.report.loc["noise of the position", "value"] == pytest.approx(0.8)
+    assert found["sigma_v"][0] == pytest.approx(0.8, rel=0.01)

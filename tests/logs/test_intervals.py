@@ -14,10 +14,9 @@ from spoilt_logs import four_headings
 
 import rhec
 from notebooks.further.recorded import verdicts
-from notebooks.further.recorded.rivals import RIVALS
 from notebooks.studies.statistics import share_interval
 from rhec.logs import terms
-from rhec.logs.position_noise import position_sigma_m
+from rhec.logs.position_noise import LEAST_M, position_sigma_m
 from rhec.logs.recording import prepare
 from rhec.simulation.columns import MEASUREMENTS
 
@@ -43,6 +42,25 @@ def test_white_noise_on_a_straight_drive_has_its_deviation(sigma_m):
     assert np.mean(found) == pytest.approx(sigma_m, rel=0.03)
 
 
+def test_positions_that_are_missing_and_a_robot_that_stands_do_not_hide_the_noise():
+    """While it stands, a receiver may smooth its positions."""
+    log = recorded_log(10.0, 200.0)
+    log[["x_m", "y_m", "speed_mps"]] *= 5.0
+    rng = np.random.default_rng(0)
+    log[["x_m", "y_m"]] += 0.05 * rng.standard_normal((len(log), 2))
+    log.loc[rng.random(len(log)) < 0.3, ["x_m", "y_m"]] = np.nan
+    stands = log.iloc[[900] * 4000].assign(speed_mps=0.0, yaw_rate_radps=0.0)
+    stands[["x_m", "y_m"]] = 1e-4 * rng.standard_normal((len(stands), 2))
+    both = pd.concat([log, stands], ignore_index=True)
+    both["t_s"] = 0.1 * both.index
+    assert position_sigma_m(prepare(both).rows) == pytest.approx(0.05, rel=0.15)
+
+
+def test_no_noise_and_few_positions_give_the_least():
+    for log in (recorded_log(), recorded_log(duration_s=2.0, noise_m=0.5)):
+        assert position_sigma_m(prepare(log).rows) == LEAST_M
+
+
 def test_the_sigma_of_a_regression_is_that_of_many_drives():
     """Of 200 regressions with white errors the slopes scatter as the jackknife says, to a tenth."""
     rng = np.random.default_rng(0)
@@ -54,23 +72,6 @@ def test_the_sigma_of_a_regression_is_that_of_many_drives():
     for of_one in zip(*found):
         values, sigmas = np.transpose(of_one)
         assert np.sqrt(np.mean(sigmas**2)) == pytest.approx(values.std(), rel=0.1)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_traction_of_unlike_tracks_is_that_of_their_centres_of_rotation(seed):
-    """At its centre of rotation a track does not slip along itself: ahead - turning y = α v.
-
-    The two tracks give two equations, which are solved here for unit speed and for unit yaw rate.
-    """
-    rng = np.random.default_rng(seed)
-    y_left, y_right = rng.uniform(0.4, 0.9), -rng.uniform(0.4, 0.9)
-    left, right = rng.uniform(0.5, 1.0, 2)
-    half_m = 0.3
-    told = RIVALS["EKF of ICR"].traction(np.array([[y_left, y_right, 0.1, left, right, half_m]]))
-    for place, (nu, omega) in enumerate(((1.0, 0.0), (0.0, 1.0))):
-        over_ground = left * (nu - half_m * omega), right * (nu + half_m * omega)
-        motion = np.linalg.solve([[1.0, -y_left], [1.0, -y_right]], over_ground)
-        np.testing.assert_allclose(told[place][0], motion[place], rtol=1e-12)
 
 
 def dead_reckoned(told, pieces):

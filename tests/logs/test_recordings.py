@@ -55,42 +55,40 @@ def test_a_recording_is_fetched_once_and_read(server, tmp_path):
     assert again == file
 
 
-def test_a_wrong_digest_is_refused(server, tmp_path):
+@pytest.mark.parametrize(
+    "name, changes, most_bytes, told",
+    [
+        ("small", dict(sha256="0" * 64), 10_000, "has the hash"),
+        ("small", {}, 100, "has more than 100 bytes"),
+        ("../outside", {}, 10_000, "should have a plain name"),
+        ("/tmp/outside", {}, 10_000, "should have a plain name"),
+    ],
+)
+def test_what_is_not_as_listed_is_not_kept(
+    server, tmp_path, monkeypatch, name, changes, most_bytes, told
+):
     host, table = server
-    table["small"]["sha256"] = "0" * 64
-    with pytest.raises(ValueError, match="hash"):
-        fetch_recordings.fetch("small", tmp_path / "here", host, table)
-    assert not list((tmp_path / "here").iterdir())
+    monkeypatch.setattr(fetch_recordings, "_MOST_BYTES", most_bytes)
+    with pytest.raises(ValueError, match=told):
+        fetch_recordings.fetch(name, tmp_path / "here", host, {name: table["small"] | changes})
+    assert not [*tmp_path.glob("here/*"), *tmp_path.glob("*.pkl")]
 
 
-@pytest.mark.parametrize("bad", [Bomb(), pd.DataFrame(dict(a=[Bomb()])), [print], re.compile("a")])
-def test_nothing_but_a_frame_of_numbers_is_unpickled(tmp_path, bad):
-    (tmp_path / "bad.pkl").write_bytes(pickle.dumps(bad))
-    with pytest.raises(ValueError, match="the pickle asks for"):
+FOREIGN = [Bomb(), pd.DataFrame(dict(a=[Bomb()])), [print], re.compile("a")]
+
+
+@pytest.mark.parametrize(
+    "content, told",
+    [
+        *((pickle.dumps(each), "the pickle asks for") for each in FOREIGN),
+        (pickle.dumps([1, 2]), "bad.pkl has a list"),
+        (b"no pickle", "bad.pkl is no pickle"),
+    ],
+)
+def test_nothing_but_a_frame_of_numbers_is_unpickled(tmp_path, content, told):
+    (tmp_path / "bad.pkl").write_bytes(content)
+    with pytest.raises(ValueError, match=told):
         fetch_recordings.read_frame(tmp_path / "bad.pkl")
-
-
-def test_a_pickle_of_something_else_is_refused(tmp_path):
-    (tmp_path / "list.pkl").write_bytes(pickle.dumps([1, 2]))
-    with pytest.raises(ValueError, match="has a list"):
-        fetch_recordings.read_frame(tmp_path / "list.pkl")
-
-
-def test_each_source_is_whole():
-    wanted = {"repository", "commit", "path", "sha256", "licence", "citation", "robot"}
-    for source in fetch_recordings.RECORDINGS.values():
-        assert re.fullmatch("[0-9a-f]{40}", source["commit"])
-        if "not_run" in source:
-            assert wanted - {"sha256"} < set(source)
-            continue
-        assert wanted < set(source)
-        assert re.fullmatch("[0-9a-f]{64}", source["sha256"])
-
-
-def test_what_is_not_run_is_not_fetched(tmp_path, capsys):
-    table = dict(far=dict(not_run="too large"))
-    fetch_recordings.main("http://127.0.0.1:1", tmp_path, table)
-    assert capsys.readouterr().out == "far: not fetched, too large\n"
 
 
 def test_the_columns_of_a_recording_that_is_not_run_fit_its_documented_topics(tmp_path):
@@ -198,41 +196,9 @@ def test_a_converted_recording_can_be_replayed(tmp_path, capsys):
     with published(frame.astype(object), tmp_path, **source) as (host, table):
         fetch_recordings.main(host, tmp_path / "here", table)
         assert "by hand" in capsys.readouterr().out
-        table["small"]["sha256"] = "0" * 64
-        with pytest.raises(SystemExit, match="small: .*hash"):
+        del table["small"]["sha256"]
+        with pytest.raises(SystemExit, match="small: its table should have"):
             fetch_recordings.main(host, tmp_path / "there", table)
     log = rhec.logs.read(tmp_path / "here" / "small.csv")
     last = rhec.replay(log, estimator=RIVALS["augmented_ekf"], first_yaw_rad=log["yaw_true_rad"][0])
     assert last["mu_hat"].iloc[-1] == pytest.approx(1.0, abs=0.03)
-
-
-# Hostile hosts and wrong lists
-
-
-def test_no_more_is_downloaded_than_a_recording_has(tmp_path, monkeypatch):
-    monkeypatch.setattr(fetch_recordings, "_MOST_BYTES", 100)
-    refused = pytest.raises(ValueError, match="more than 100 bytes")
-    with published(FRAME, tmp_path) as (host, table), refused:
-        fetch_recordings.fetch("small", tmp_path / "here", host, table)
-    assert not list((tmp_path / "here").iterdir())
-
-
-@pytest.mark.parametrize("name", ["../outside", "/tmp/outside"])
-def test_a_name_is_no_path(tmp_path, name):
-    table = {name: dict.fromkeys(fetch_recordings._NEEDED, "x")}
-    with pytest.raises(ValueError, match="plain name"):
-        fetch_recordings.fetch(name, tmp_path, "http://127.0.0.1:1", table)
-
-
-def test_a_list_without_a_digest_ends_in_a_sentence(tmp_path):
-    table = dict(small=dict(repository="r", commit="c", path="p", citation="by hand"))
-    with pytest.raises(SystemExit, match="small: its table should have"):
-        fetch_recordings.main("http://127.0.0.1:1", tmp_path, table)
-
-
-def test_what_is_no_pickle_ends_in_a_sentence(tmp_path, monkeypatch):
-    file = tmp_path / "small.pkl"
-    file.write_bytes(b"no pickle")
-    monkeypatch.setattr(fetch_recordings, "fetch", lambda *arguments: file)
-    with pytest.raises(SystemExit, match="small: "):
-        fetch_recordings.main(recordings=dict(small={}))

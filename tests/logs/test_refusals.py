@@ -4,10 +4,8 @@
 """
 
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from helpers import assert_refused, recorded_log
 from written_bags import START_NS, odometry, pose_stamped, text, twist_stamped, write_bag
@@ -20,16 +18,6 @@ LOG = recorded_log(noise_m=0.02)
 FOREIGN = LOG.rename(
     columns=dict(x_m="Easting [m]", y_m="northing", speed_mps="vel", yaw_rate_radps="gyro")
 )
-
-
-def straight(turn_radps=0.001, noise_radps=0.0):
-    """A log straight on, whose encoders' noise is no turn."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0, 600, 0.2)
-    log = pd.DataFrame(dict(t_s=t, x_m=0.45 * t, y_m=0.0, speed_mps=0.5))
-    log["yaw_rate_radps"] = turn_radps + noise_radps * rng.standard_normal(len(t))
-    log[["x_m", "y_m"]] += 0.02 * rng.standard_normal((len(t), 2))
-    return log
 
 
 def test_a_log_that_cannot_be_replayed():
@@ -51,6 +39,11 @@ def test_a_log_that_cannot_be_replayed():
             LOG.iloc[:, :5].rename(columns=dict(speed_mps="/odom/twist/twist/linear/x")),
             "the log had no…did you mean columns={'speed_mps': '/odom/twist/twist/linear/x'}",
         ),
+        (
+            LOG.iloc[:, :5].rename(columns=dict(speed_mps="delta_s", yaw_rate_radps="left_rpm")),
+            "the log had no…; left_rpm are turns of wheels in a minute",
+        ),
+        (LOG.iloc[:, :5].rename(columns=dict(speed_mps="delta_s")), "the log had no…; delta_s may"),
     ]
     assert_refused(rhec.replay, [((log,), sentence) for log, sentence in rows])
 
@@ -59,36 +52,18 @@ def test_arguments_of_a_replay():
     rows = [
         (dict(estimator="oracle"), "estimator was 'oracle'"),
         (dict(estimator=RIVALS["fixed_traction"]), "estimator was Estimator('fixed_traction_step'"),
-        (dict(estimator="kalman"), "estimator was 'kalman'"),
         (dict(sed=1), "replay has no parameter 'sed'"),
         (dict(process_noise="bold"), "process_noise was 'bold'"),
         (dict(first_yaw_rad=(0.0, 1.0)), "first_yaw_rad had 2 entries"),
-        (dict(first_yaw_rad=np.inf), "first_yaw_rad"),
         (dict(lever_arm_m=(0.1, 0.0), speed_model="input"), "lever_arm_m was"),
-        (dict(lever_arm_m=(0.1,)), "lever_arm_m"),
-        (dict(track_width_m=-0.5), "track_width_m was -0.5"),
         (dict(sigma_yaw_rad=0.0), "sigma_yaw_rad was 0.0"),
         (dict(delays_s=dict(x_m=0.1)), "delays_s was …no model: position_delay_s is that"),
         (dict(smooth=True, speed_model="parameter"), "smooth was True; only the estimator 'rhe'"),
         (dict(smooth=True, estimator="ekf"), "smooth was True; only the estimator 'rhe'"),
         (dict(sensors=("gyro",)), "sensors was …no numbers in a column gyro_radps"),
-        (dict(sensors=("compass",)), "sensors"),
         (dict(sensors=("heading",), estimator="ekf"), "sensors was"),
-        (dict(sigma_gyro=(0.0, 0.1)), "sigma_gyro"),
     ]
     assert_refused(partial(rhec.replay, LOG, trust_log=True), rows)
-
-
-def test_what_cannot_be_calibrated():
-    stands = recorded_log(5.0, 60.0).assign(speed_mps=0.0, yaw_rate_radps=0.0)
-    eight = "the log had turns of …drive two figures of eight"
-    rows = [
-        (straight()[:300], "the log had turns of 0.06 rad in all, by yaw_rate_radps"),
-        (straight(0.0, noise_radps=0.05), eight),  # Σ |ω dt| is above 20 rad
-        (stands, "the log had no segment with 50 positions over 6 m; a robot that hardly moves"),
-    ]
-    calibrate = partial(rhec.calibrate, trust_log=True)
-    assert_refused(calibrate, [((log,), sentence) for log, sentence in rows])
 
 
 def so_far(column, amount):
@@ -103,28 +78,36 @@ def some_positions(n):
     return log.assign(x_m=log["x_m"].where(log.index < n))
 
 
-# {what: (a log of an amount, an amount that does not suffice, one that does)}
+def only_noise(sigma_radps):
+    """A minute in which the encoders measure noise alone, which hardly turns the robot."""
+    noise = sigma_radps * np.random.default_rng(0).standard_normal(300)
+    return recorded_log(5.0, 60.0).assign(yaw_rate_radps=noise)
+
+
+# {what: (a log of an amount, an amount that does not suffice, one that does, what is said)}
 NEEDED = {
-    "positions": (some_positions, 49, 50),
-    "way [m]": (partial(so_far, "speed_mps"), 5.8, 6.2),
-    "turns [rad]": (partial(so_far, "yaw_rate_radps"), 6.5, 6.8),
+    "positions": (some_positions, 49, 50, "no segment with 50 positions over 6 m"),
+    "way [m]": (partial(so_far, "speed_mps"), 5.8, 6.2, "no segment with 50 positions over 6 m"),
+    "turns [rad]": (partial(so_far, "yaw_rate_radps"), 6.5, 6.8, "turns of"),
+    "noise of turns [rad/s]": (only_noise, 0.3, 1.0, "turns of .* drive two figures of eight"),
 }
 
 
 @pytest.mark.parametrize("what", NEEDED)
 def test_how_much_a_calibration_needs(what, monkeypatch):
     """With enough it begins with the yaw of each segment, where it is stopped here."""
-    log_of, too_little, enough = NEEDED[what]
+    log_of, too_little, enough, said = NEEDED[what]
     monkeypatch.setattr(calibration, "_first_yaws", lambda recording: 1 / 0)
-    for amount, stopped_by in ((too_little, ValueError), (enough, ZeroDivisionError)):
-        with pytest.raises(stopped_by):
-            rhec.calibrate(log_of(amount), trust_log=True)
+    with pytest.raises(ValueError, match=f"^the log had {said}"):
+        rhec.calibrate(log_of(too_little), trust_log=True)
+    with pytest.raises(ZeroDivisionError):
+        rhec.calibrate(log_of(enough), trust_log=True)
 
 
 # Files
 
 
-def test_files_that_are_none(tmp_path, monkeypatch):
+def test_files_that_are_none(tmp_path):
     contents = {
         "utf.csv": (b"\xff\xfe\x00 bytes", ""),
         "empty.csv": (b"", "the file is empty"),
@@ -145,16 +128,9 @@ def test_files_that_are_none(tmp_path, monkeypatch):
     rows += [((tmp_path / "log.doc",), existing), ((tmp_path / "none.csv",), existing)]
     (tmp_path / "nothing").mkdir()
     rows += [((tmp_path / "nothing",), existing), (("https://example.org/log.csv",), existing)]
-    rows += [(("a\0b.csv",), "log was")]
-    assert_refused(rhec.logs.read, rows)
-    with pytest.raises(ValueError, match="log was .* it (should|cannot) be a(n existing| path)"):
-        rhec.logs.read("a" * 5_000)
     # From 3.14 on, Python says that so long a path leads nowhere.
-    monkeypatch.setattr(Path, "is_file", lambda self: False)
-    monkeypatch.setattr(Path, "is_dir", lambda self: False)
-    with pytest.raises(ValueError, match="it should be an existing .csv") as refusal:
-        rhec.logs.read("a" * 5_000 + ".csv")
-    assert len(str(refusal.value)) < 500
+    rows += [(("a\0b.csv",), "log was"), (("a" * 5_000,), "log was")]
+    assert_refused(rhec.logs.read, rows)
 
 
 def test_tables_that_are_none(tmp_path):
@@ -176,8 +152,6 @@ def test_tables_that_are_none(tmp_path):
         ((angles(5213.5, 4.3),), "the log's latitude is … should be in degrees"),
         ((angles(90.2, 4.3),), "the log's latitude is 90.2 (median)"),
         ((angles(52.1, 180.5),), "the log's longitude is 180.5 (median)"),
-        ((angles(52.1, 43012.1),), "the log's longitude is … should be in degrees"),
-        ((angles(521_000_000, 4.3),), "the log's latitude is … should be in degrees"),
     ]
     assert_refused(read, rows)
     assert_refused(
@@ -225,9 +199,13 @@ def test_topics_and_fields_that_a_bag_does_not_have(tmp_path):
     rows += [(dict(topics=("/odom",), columns=dict(x_m="north")), "columns['x_m'] was 'north'; th")]
     rows += [(dict(columns=dict(t_s="/odom.pose.pose.position.x")), f"{read}…not be given: the ti")]
     assert_refused(partial(rhec.logs.read, bag), rows)
-    (tmp_path / "talk").mkdir()
-    talk = [("/talk", START_NS, text("hello"))]
-    assert_refused(
-        rhec.logs.read,
-        [((write_bag(tmp_path / "talk", "mcap", talk),), f"{read}no topic for positions …'x_m': ")],
-    )
+    others = {
+        "talk": (text("hello"), "no topic for positions (NavSatFix, …'x_m': "),
+        "odom": (odometry(1, 2, 0.5, 0.1), "the bag's only positions are those of /odom, which"),
+    }
+    rows = []
+    for name, (message, told) in others.items():
+        (tmp_path / name).mkdir()
+        bag = write_bag(tmp_path / name, "mcap", [(f"/{name}", START_NS, message)])
+        rows.append(((bag,), read + told))
+    assert_refused(rhec.logs.read, rows)
