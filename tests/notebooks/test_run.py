@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -15,7 +14,6 @@ import nbformat
 import papermill
 import pytest
 from helpers import NOTEBOOKS
-from jupyter_client.connect import LocalPortCache
 from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
@@ -287,23 +285,6 @@ def test_a_kernel_that_dies_before_the_first_cell_starts_again_and_no_other_does
         with pytest.raises(RuntimeError) if dies else contextlib.nullcontext():
             assert notebook._executed(Path("toy.ipynb"), {}, lambda *_: None) == "executed"
         assert len(begun) == starts
-
-
-@pytest.mark.nightly
-def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd):
-    find_free_port = LocalPortCache.find_available_port
-    asked = []
-    with socket.create_server(("127.0.0.1", 0)) as other:
-
-        def find_available_port(self, ip):
-            asked.append(ip)
-            return find_free_port(self, ip) if len(asked) > 1 else other.getsockname()[1]
-
-        monkeypatch.setattr(LocalPortCache, "find_available_port", find_available_port)
-        output = run_toy(monkeypatch, toy(tmp_path, "1 + 1"))
-    assert len(asked) == 10  # of two kernels
-    assert "toy: its kernel did not start, so another one does\n" in capfd.readouterr().out
-    assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "2"
 
 
 @pytest.mark.parametrize(
