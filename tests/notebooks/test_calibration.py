@@ -13,30 +13,6 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.tuning import NOISES
 
 
-@pytest.fixture(scope="module")
-def runs():
-    """Drives on seeds that no rule has seen."""
-    return calibration.oracle_runs(range(640000, 640008))
-
-
-@pytest.mark.nightly(keep=1)
-@pytest.mark.parametrize("estimator", ["ekf", "rhe"])
-def test_the_noise_by_prediction_foresees_fresh_runs_better_than_others(estimator, runs):
-    """Better than the printed one, and than those near it in W and V alike."""
-
-    def deviance(noise):
-        return calibration.deviance(estimator, noise.sigma_w, runs, sigma_v=noise.sigma_v)
-
-    found = NOISES[estimator]["prediction"]
-    best = deviance(found)
-    assert best < deviance(NOISES[estimator]["printed"]) - 1000
-    for factor in (1 / 3, 3):
-        sigma_w = tuple(np.maximum(factor * np.array(found.sigma_w), calibration.LEAST).tolist())
-        sigma_v = tuple(factor * np.array(found.sigma_v))
-        assert best < deviance(found._replace(sigma_w=sigma_w))
-        assert best < deviance(found._replace(sigma_v=sigma_v))
-
-
 def test_prediction_finds_the_noise_of_the_measurements_that_the_world_has():
     """The white part of the position's error, and of the speed the encoders' beside the common."""
     world = rhec.Scenario()
