@@ -132,15 +132,14 @@ def test_the_posterior_rests_on_as_many_worlds_as_it_says():
     assert which_worlds.effective_number(driven["world"]) > 150
 
 
-@pytest.mark.parametrize("world", [5, which_worlds.FIRST_ROUND + 7])
-def test_files_hold_what_the_code_drives(world):
-    """Each robot on both fields, and all that is kept of its drives."""
+def test_files_hold_what_the_code_drives(monkeypatch):
+    """Each robot on both fields of the last world of the first round, and of the next one."""
+    monkeypatch.setattr(which_worlds, "_BLOCK", 1)
     stored = which_worlds.prior_drives()
+    last = which_worlds.FIRST_ROUND - 1
     unit = which_worlds.both_rounds(stored).unit
-    fields = which_worlds.fields_of(which_worlds.worlds_at(unit[[world]]).iloc[0])
-    seed = which_worlds.FIRST_SEED + which_worlds.FIELDS * world
-    now = which_worlds.kept(which_worlds.drive([fields], seed)).astype(float)
-    then = stored.loc[[world]]
+    now = which_worlds.drive_round(unit[last : last + 2], last)
+    then = stored.loc[last : last + 1]
     assert list(now.columns) == list(then.columns)
     np.testing.assert_allclose(now, then, rtol=2e-3)
 
@@ -171,13 +170,11 @@ def test_the_files_in_git_are_those_that_the_drives_give(monkeypatch, tmp_path):
     for name in ("PRIOR_DRIVES", "POSTERIOR_WORLDS", "POSTERIOR_DRIVES"):
         monkeypatch.setattr(which_worlds, name, tmp_path / name)
 
-    def drive_round(unit, first_world, folder):
-        assert folder == tmp_path
+    def drive_round(unit, first_world):
         return stored.loc[first_world : first_world + len(unit) - 1]
 
     monkeypatch.setattr(which_worlds, "drive_round", drive_round)
     monkeypatch.setattr(which_worlds, "drive_posterior", lambda: last)
-    monkeypatch.setattr("sys.argv", ["which_worlds", "--folder", str(tmp_path)])
     which_worlds.main()
     pd.testing.assert_frame_equal(which_worlds.prior_drives(), stored)
     made = which_worlds.posterior_table()
