@@ -301,7 +301,7 @@ def _draw_states(n):
 
 
 def kkt_tolerances(n=100):
-    """KKT tolerances of a linear RHC problem at n random states: the yaw alone has a weight, θ̇ = κω.
+    """KKT tolerances of a linear RHC problem, whose yaw alone has a weight, at n random states.
 
     "reported" is the tolerance as ACADO's code computes it, at the point where the iteration
     begins; "after_step" is computed again at the result.
