@@ -1,9 +1,6 @@
-"""The audit of the interpretations: its analysis is that of the filters themselves, and it sweeps
-what it says.
+"""The audit of the interpretations: its analysis is that of the filters themselves, and its table
+has the changes from the baseline.
 """
-
-import dataclasses
-import re
 
 import numpy as np
 import pandas as pd
@@ -14,14 +11,10 @@ import rhec
 from notebooks.studies import interpretations
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
-from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
 DT = paper.DT_S
-# Its curve is driven from about 13 to 27 s.
-_BENT = rhec.Path.from_segments([(6.0, 0.0), (6.0, 0.15), (20.0, 0.0)])
-SHORT = dict(path=_BENT, duration_s=40.0)
 
 
 @pytest.mark.nightly(keep=1)
@@ -101,57 +94,6 @@ def test_an_interpretation_is_compared_with_the_baseline_at_equal_seeds(monkeypa
         assert rules.pop(key) == {"printed"}
     assert {*map(tuple, rules.values())} == {("prediction",)}
     assert all([each.seed for each in of] == [0, 1, 2] for of in asked.values())
-
-
-@pytest.mark.parametrize("estimator, places", [("rhe", (5,)), ("ekf", (0, 1))])
-def test_a_sweep_moves_one_number_of_w(estimator, places, monkeypatch):
-    """From its value as printed to that by prediction; the ends are drawn as they were."""
-    asked = []
-    simulate = interpretations.simulate
-
-    def driven(scenarios):
-        asked.extend(scenarios)
-        short = rhec.Scenario(**SHORT, process_noise="prediction")
-        return simulate([dataclasses.replace(short, seed=each.seed) for each in scenarios])
-
-    monkeypatch.setattr(interpretations, "simulate", driven)
-    runs, sweep = interpretations.swept(estimator, 2)
-    printed, prediction = (
-        np.array(tuning.NOISES[estimator][rule].sigma_w) for rule in ("printed", "prediction")
-    )
-    moving = np.isin(np.arange(len(printed)), places)
-    values = list(sweep["sigma"].unique())
-    assert list(runs) == [values[0], values[-1]] == [*printed[moving][:1], *prediction[moving][:1]]
-    assert values == sorted(values, reverse=True)
-    for scenario, row in zip(asked, sweep.itertuples(), strict=True):
-        assert (scenario.seed, scenario.estimator) == (row.seed, estimator)
-        assert scenario.sigma_w == tuple(np.where(moving, row.sigma, printed).tolist())
-    log = runs[values[0]].log
-    late = log[log["t_s"] >= 20]
-    straight = late["on_straight"]
-    error = late["kappa_hat"] - late["kappa"]
-    of_first = sweep[sweep["seed"] == 0].iloc[0]
-    yaw = late["theta_hat_rad"] - late["theta_rad"]
-    expected = (yaw, error[straight], error[~straight])
-    for name, errors in zip(interpretations._RMS, expected):
-        assert of_first[name] == pytest.approx(np.sqrt((errors**2).mean()))
-
-
-def test_a_sweep_is_told_with_its_means_beside_the_analysis():
-    """Oracle: mean and Student's interval of three seeds."""
-    errors = np.random.default_rng(0).lognormal(size=6)
-    sweep = pd.DataFrame([dict(sigma=sigma, seed=n) for sigma in (1.0, 0.01) for n in range(3)])
-    sweep = sweep.assign(rms_yaw_rad=errors)
-    analysis = interpretations.ekf_on_a_straight([1.0, 0.01])
-    shown = interpretations.readable_sweep(analysis, sweep, "rms_yaw_rad")
-    *stated, simulated = shown.columns
-    np.testing.assert_allclose(shown[stated], analysis[stated], atol=5e-5)
-    assert [*shown.index] == ["1", "0.01"]
-    for text, of in zip(shown[simulated], (errors[:3], errors[3:])):
-        half = 4.303 * of.std(ddof=1) / 3**0.5
-        expected = of.mean(), max(of.mean() - half, 0), of.mean() + half
-        found = [float(number) for number in re.findall(r"[\d.]+", text)]
-        assert found == pytest.approx(expected, rel=6e-3)
 
 
 def test_every_interpretation_is_a_scenario_and_another_one_than_the_default():

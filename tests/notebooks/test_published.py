@@ -25,7 +25,7 @@ from notebooks.further import (
     your_robot,
 )
 from notebooks.further.recorded import scores
-from notebooks.plots import interpretations, robot_drawings, scenarios, which_worlds
+from notebooks.plots import robot_drawings, scenarios, which_worlds
 from notebooks.plots.timing import phases
 from notebooks.studies import order_in_worlds, scenario_tables
 from notebooks.studies import which_worlds as worlds
@@ -104,13 +104,6 @@ def estimates():
     return scenarios.estimates({"a title": two, "soft soil": soft})
 
 
-def errors_over_time():
-    """The errors of κ in both drives, as if they were those of a sweep."""
-    runs = dict(zip((0.25, 0.01), drives()[0]))
-    label = r"$\hat\kappa-\kappa$ [-]"
-    return interpretations.errors_over_time(runs, "kappa_hat", "kappa", label, (10, 60))
-
-
 def replay_yaw():
     """Of a log of two segments, in the second of which the first yaw is a turn off."""
     one = recorded_log(5.0, 30.0, noise_m=0.02, seed=1).assign(segment="a")
@@ -156,7 +149,6 @@ def own_slips():
 
 
 PICTURES = {
-    "audit_rhe_kappa": errors_over_time,
     "fig01_robot_in_row": robot_drawings.robot_in_row,
     "fig02_robot_parts": robot_drawings.robot_parts,
     "fig03_hardware": robot_drawings.hardware_blocks,
