@@ -133,13 +133,13 @@ def test_the_posterior_rests_on_as_many_worlds_as_it_says():
 
 
 def test_files_hold_what_the_code_drives(monkeypatch):
-    """Each robot on both fields of the last world of the first round, and of the next one."""
+    """Each robot on both fields of a world whose ruts are shorter than a sample, and of the next."""
     monkeypatch.setattr(which_worlds, "_BLOCK", 1)
     stored = which_worlds.prior_drives()
-    last = which_worlds.FIRST_ROUND - 1
-    unit = which_worlds.both_rounds(stored).unit
-    now = which_worlds.drive_round(unit[last : last + 2], last)
-    then = stored.loc[last : last + 1]
+    first = which_worlds.FIRST_ROUND + 9
+    unit = which_worlds.both_rounds(stored).unit[first : first + 2]
+    now = which_worlds.drive_round(unit, first)
+    then = stored.loc[first : first + 1]
     assert list(now.columns) == list(then.columns)
     np.testing.assert_allclose(now, then, rtol=2e-3)
 
