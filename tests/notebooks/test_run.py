@@ -196,14 +196,6 @@ def test_every_notebook_is_made_by_make():
     assert {*names} >= {each.stem for each in ROOT.glob("notebooks/*.ipynb")}
 
 
-A_COLUMN = """from matplotlib.figure import Figure
-from notebooks.run import parameters
-from rhec import style
-parameters(globals())
-Figure(figsize=(style.COLUMN_IN, 1)).subplots().figure"""
-OWN_ALT = 'display(new("L", (9, 9)), metadata={"image/png": {"alt": "its own"}})'
-
-
 def toy(folder, *sources):
     """A notebook of one heading and these cells of code, and its path."""
     cells = [v4.new_markdown_cell("# A heading"), *map(v4.new_code_cell, sources)]
@@ -222,8 +214,11 @@ def run_toy(monkeypatch, path, *options):
 
 
 def test_outputs_that_jupyterlab_saves_are_no_edit(tmp_path, monkeypatch):
-    path = toy(tmp_path, "1 + 1")
+    edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
+    path = toy(tmp_path, edit)
     output = run_toy(monkeypatch, path)
+    # For make the output is older than what was edited while it ran.
+    assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
     made = output.read_bytes()
     shutil.copy(output, path)
     run_toy(monkeypatch, path, "--if-edited")
@@ -308,26 +303,22 @@ def test_a_cell_that_fails_is_told_in_a_sentence_where_it_can_be(
     assert ended.value.code == code and capsys.readouterr().err.startswith(said)
 
 
-def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
-    """A cell may describe its own; nbconvert writes them into its pages.
-
-    A figure a column wide has 900 pixels. For make the output is older than what was edited while
-    it ran.
-    """
-    edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
-    path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT, A_COLUMN)
-    found = nbformat.read(path, 4)
+def test_pictures_have_the_captions_above_them_as_alternative_texts():
+    """A cell may describe its own; nbconvert writes them into its pages."""
     caption = "**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
     caption = f"**Figure 0.** Another.\n\n{caption}\n\nWords after."
-    found.cells.insert(1, v4.new_markdown_cell(caption))
-    nbformat.write(found, path)
-    output = run_toy(monkeypatch, path)
-    assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
-    page, _ = HTMLExporter().from_filename(str(output))
-    one, other, _ = re.findall(r'<img alt="(.*?)"', page)
-    *_, column = (cell.outputs[0] for cell in nbformat.read(output, 4).cells if "outputs" in cell)
-    picture = Image.open(io.BytesIO(base64.b64decode(column.data["image/png"])))
-    assert picture.width == pytest.approx(900, abs=1)
+    pixels = io.BytesIO()
+    Image.new("L", (9, 9)).save(pixels, "png")
+    png = {"image/png": base64.b64encode(pixels.getvalue()).decode()}
+    outputs = [
+        v4.new_output("display_data", png, metadata=metadata)
+        for metadata in ({}, {"image/png": {"alt": "its own"}})
+    ]
+    cells = [v4.new_markdown_cell(caption), v4.new_code_cell("new('L')", outputs=outputs)]
+    executed = v4.new_notebook(cells=cells)
+    notebook._describe_pictures(executed)
+    page, _ = HTMLExporter().from_notebook_node(executed)
+    one, other = re.findall(r'<img alt="(.*?)"', page)
     assert one.startswith("Figure 1. The error by GNSS. More.") and len(one) <= 250
     assert other == "its own" and "No description has been provided" not in page
 

@@ -133,7 +133,7 @@ def test_the_posterior_rests_on_as_many_worlds_as_it_says():
 
 
 def test_files_hold_what_the_code_drives(monkeypatch):
-    """Each robot on both fields of a world whose ruts are shorter than a sample, and of the next."""
+    """Each robot on both fields of a world with ruts shorter than a sample, and of the next one."""
     monkeypatch.setattr(which_worlds, "_BLOCK", 1)
     stored = which_worlds.prior_drives()
     first = which_worlds.FIRST_ROUND + 9
