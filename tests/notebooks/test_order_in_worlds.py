@@ -1,29 +1,9 @@
-"""RHE or EKF in the posterior's worlds: files hold what is fitted and driven, and tables count as
-they say.
-"""
+"""RHE or EKF in the posterior's worlds: files hold what is fitted and driven."""
 
 import numpy as np
 import pandas as pd
-import pytest
 
-import rhec
 from notebooks.studies import order_in_worlds, which_worlds
-from rhec.simulation import offline
-from rhec.tracked_robot import tuning
-
-
-def test_deviances_are_those_of_each_run_by_itself():
-    """Oracle: `offline.run_estimator`, one noise and run at a time."""
-    runs = rhec.simulate(
-        [rhec.Scenario(estimator="oracle", duration_s=9.0, seed=600_002 + k) for k in range(2)]
-    )
-    noises = [tuning.NOISES["rhe"][rule] for rule in ("printed", "prediction")]
-    found = offline.deviances(rhec.Scenario(), noises, runs)
-    for noise, of_noise in zip(noises, found):
-        scenario = rhec.Scenario(**noise._asdict())
-        for run, value in zip(runs, of_noise):
-            alone = offline.run_estimator(scenario, run, "deviance")["deviance"].sum()
-            assert value == pytest.approx(alone, rel=1e-9)
 
 
 def test_the_file_of_noises_holds_what_is_fitted(monkeypatch):
