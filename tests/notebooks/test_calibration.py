@@ -1,7 +1,6 @@
 """Tuned noises: what each rule asks for, on training seeds alone, and alike for every estimator."""
 
-import csv
-from concurrent.futures import Executor, Future
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -129,28 +128,10 @@ def test_a_noise_with_which_an_estimator_diverges_is_never_the_best(monkeypatch)
 # The table
 
 
-class Here(Executor):
-    """Workers in this process."""
-
-    def submit(self, function, *arguments):
-        future = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
-def rows_of(file):
-    with open(file, encoding="utf-8", newline="") as lines:
-        return [*csv.DictReader(lines)]
-
-
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("estimator, rule", [("ekf", "soft_soil"), *CASES])
 def test_the_shipped_objective_is_that_of_the_shipped_noise(estimator, rule):
-    (row,) = (
-        row
-        for row in rows_of(calibration.file_of(estimator))
-        if (row["estimator"], row["process_noise"]) == (estimator, rule)
-    )
+    row = calibration.read_rows(calibration.file_of(estimator))[estimator, rule]
     fields = calibration.ESTIMATORS[estimator].fields
     noises = tuning.noises_of(tuning.name_of_noise(rhec.Scenario(**fields)))
     value = calibration.RULES[rule](fields)(**noises[rule]._asdict())
@@ -170,7 +151,7 @@ def test_rows_are_made_again_one_by_one_and_others_stay(tmp_path, monkeypatch):
         about = dict(estimator=estimator, process_noise=rule)
         return about | numbers | dict(objective=1.5, evaluations=7, seeds="1000-1001")
 
-    monkeypatch.setattr(calibration, "ProcessPoolExecutor", lambda *_, **__: Here())
+    monkeypatch.setattr(calibration, "ProcessPoolExecutor", lambda mp_context: ThreadPoolExecutor())
     monkeypatch.setattr(calibration, "calibrate", made)
     monkeypatch.setattr(calibration, "file_of", lambda name: file)
     calibration.make_table(["ekf"], ["prediction", "tracking"])
