@@ -512,9 +512,12 @@ def test_where_nothing_is_to_be_found_five_looks_are_wrong_as_seldom_as_they_say
 # Verdicts in words
 
 
-def test_what_fails_and_what_is_lost_among_many_is_shown():
-    ids = [*PUBLISHED.index[PUBLISHED["verdict"] == FAILS]]
+def test_what_fails_and_what_is_lost_among_many_is_shown_and_counted():
+    fails = PUBLISHED["verdict"] == FAILS
+    ids = [*PUBLISHED.index[fails]]
     table = PUBLISHED.reset_index()
+    counts = summary.verdict_counts(table).loc[FAILS]
+    assert [*counts] == [len(ids), (fails & PUBLISHED["derived"]).sum()]
     assert [*summary.failing(table).index] == ids and ids
     assert [*summary.lost(table).index] == summary.survivors(table)[1]
 
