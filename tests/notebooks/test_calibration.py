@@ -86,6 +86,7 @@ def test_rules_see_training_seeds_alone_and_no_estimator_in_the_loop_but_for_tra
 
     for name in ("simulate", "campaign"):
         monkeypatch.setattr(calibration, name, drive)
+    monkeypatch.setattr(calibration.lanes, "load", lambda *structure: None)  # which takes long
     noise = NOISES["ekf"]["consistent"]._asdict()
     shipped = calibration.read_rows(tuning.FILE)
     for rule in ("consistent", "prediction", "soft_soil", "tracking"):

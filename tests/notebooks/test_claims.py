@@ -512,7 +512,7 @@ def test_where_nothing_is_to_be_found_five_looks_are_wrong_as_seldom_as_they_say
 # Verdicts in words
 
 
-def test_what_fails_and_what_is_lost_among_many_is_shown_and_counted():
+def test_the_published_ledger_is_shown_by_what_fails_and_what_is_lost():
     fails = PUBLISHED["verdict"] == FAILS
     ids = [*PUBLISHED.index[fails]]
     table = PUBLISHED.reset_index()
