@@ -237,6 +237,7 @@ def _beside_the_path(axes, runs):
     """Draw how far the robots are beside the path, over the way along it."""
     first = runs["RHE"]
     largest = []
+    mean_m = {}
     for name in ("EKF", "RHE"):
         log = runs[name].log
         lateral_m = _lateral(runs[name])
@@ -244,6 +245,7 @@ def _beside_the_path(axes, runs):
         settled = log["t_s"] >= runs[name].metrics["settling_time_s"]
         words = f"{np.abs(lateral_m[settled]).max():.2f} m" if settled.any() else "never settles"
         largest.append(f"{name} {words}")
+        mean_m[name] = lateral_m[settled].mean() if settled.any() else np.nan
     end_m = first.log["s_m"].iloc[-1]
     bound = dict(parts.BOUND, label=f"± {paper.TOLERANCE_M} m")
     axes.hlines([-paper.TOLERANCE_M, paper.TOLERANCE_M], 0, end_m, **bound)
@@ -251,19 +253,9 @@ def _beside_the_path(axes, runs):
     axes.grid(axis="x", visible=False)
     axes.set(xlim=(0, end_m), ylim=(-_MOST_BESIDE_M, _MOST_BESIDE_M))
     axes.set_ylabel("beside the\npath [m]")
-    mean_m = lateral_means(runs)
-    means = ", ".join(with_minus(f"{name} {mean_m[name]:+.3f} m") for name in mean_m)
+    means = ", ".join(with_minus(f"{name} {mean_m[name]:+.3f} m") for name in runs)
     noise = names.noise_text(first.scenario.process_noise)
     axes.set_title(f"{noise}: mean after settling {means}; farthest {', '.join(largest)}")
-
-
-def lateral_means(runs):
-    """The mean distance of robots to the left of the path [m], once settled, by name."""
-    means = {}
-    for name, run in runs.items():
-        settled = run.log["t_s"] >= run.metrics["settling_time_s"]
-        means[name] = _lateral(run)[settled].mean() if settled.any() else np.nan
-    return means
 
 
 def _lateral(run):

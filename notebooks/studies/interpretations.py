@@ -6,8 +6,6 @@ and GNSS measures y. The steady state of their Riccati recursion (SciPy's `solve
 obeys K_θ = σ_θ / √S, S the variance of the innovation: since S ≥ σ_x², the yaw gain falls as 1/σ_x.
 """
 
-import itertools
-
 import numpy as np
 import pandas as pd
 from scipy import linalg
@@ -15,28 +13,29 @@ from scipy import linalg
 import rhec
 from notebooks.claims import run_sets
 from notebooks.studies import statistics
-from notebooks.studies.tables import interval_text, interval_texts, signed
+from notebooks.studies.tables import interval_texts, signed
 from rhec import paper
-from rhec.simulation import offline
-from rhec.simulation.metrics import rms
 from rhec.simulation.scenario import Scenario
-from rhec.simulation.simulate import simulate
 from rhec.tracked_robot import tuning
 
 # Where an estimator's W has a standard deviation that the rules pick differently: of the position,
 # and of κ.
-_SWEPT = {"ekf": (0, 1), "rhe": (5,)}
-_VALUES = 4  # of it that are driven, from that as printed to that by prediction
+_MOVED = {"ekf": 0, "rhe": 5}
+_VALUES = 4  # of it in a table, from that as printed to that by prediction
 _KAPPA = 0.8  # of a soil on which the tracks slip
 _MU = 0.9
-_RMS = {
-    "rms_yaw_rad": "RMS error of yaw, simulated [rad]",
-    "rms_kappa_straights": "RMS error of κ, straights",
-    "rms_kappa_curves": "RMS error of κ, curves",
-}
 
 
 # Analysis
+
+
+def between_the_rules(estimator):
+    """Standard deviations from the one in W as printed to that by prediction: of the position in
+    the EKF's W, of κ in the RHE's.
+    """
+    noises = tuning.NOISES[estimator]
+    ends = (noises[rule].sigma_w[_MOVED[estimator]] for rule in ("printed", "prediction"))
+    return np.geomspace(*ends, _VALUES)
 
 
 def ekf_on_a_straight(sigma_x_m):
@@ -111,69 +110,6 @@ def sigma_kappa_table(sigma_kappa):
         for name, omega in (("straight", 0.0), ("curve", omega_radps))
     }
     return pd.DataFrame(dict(sigma_kappa=sigma_kappa) | columns)
-
-
-# Sweeps of W
-
-
-def swept(estimator, seeds):
-    """Drives with the printed W, in which one standard deviation moves to that by prediction.
-
-    It is that of the position in the EKF's W, and that of κ in the RHE's.
-
-    Args:
-        estimator: "ekf" or "rhe".
-        seeds: How many fields, from seed 0 on.
-
-    Returns:
-        runs: {standard deviation: Run} of the first seed, of the two that the rules pick.
-        table: DataFrame, one row a run: sigma, seed, and RMS errors from
-            `offline.SETTLED_S` on: rms_yaw_rad, rms_kappa_straights, rms_kappa_curves.
-    """
-    places = _SWEPT[estimator]
-    printed, prediction = (
-        tuning.NOISES[estimator][rule].sigma_w for rule in ("printed", "prediction")
-    )
-    values = np.geomspace(printed[places[0]], prediction[places[0]], _VALUES).tolist()
-    cases = [*itertools.product(values, range(seeds))]
-    scenarios = []
-    for value, seed in cases:
-        sigma_w = tuple(value if k in places else sigma for k, sigma in enumerate(printed))
-        choice = dict(estimator=estimator, process_noise="printed", sigma_w=sigma_w)
-        scenarios.append(Scenario(seed=seed, **choice))
-    runs = {}
-    rows = []
-    for (value, seed), run in zip(cases, simulate(scenarios)):
-        if seed == 0 and value in (values[0], values[-1]):
-            runs[value] = run
-        c = run.columns
-        settled = c["t_s"] >= offline.SETTLED_S
-        straight = c["on_straight"]
-        kappa = c["kappa_hat"] - c["kappa"]
-        row = dict(sigma=value, seed=seed)
-        row |= dict(rms_yaw_rad=rms((c["theta_hat_rad"] - c["theta_rad"])[settled]))
-        row |= dict(rms_kappa_straights=rms(kappa[settled & straight]))
-        rows.append(row | dict(rms_kappa_curves=rms(kappa[settled & ~straight])))
-    return runs, pd.DataFrame(rows)
-
-
-def readable_sweep(analysis, table, *columns):
-    """The analysis of each standard deviation of a sweep, and means of its RMS errors as texts.
-
-    Args:
-        analysis: DataFrame, one row a standard deviation, which its first column has.
-        table: Of `swept`.
-        columns: The RMS errors to show.
-    """
-    sigmas = analysis.iloc[:, 0]
-    shown = analysis.set_index(sigmas.map("{:.3g}".format)).drop(columns=sigmas.name).round(4)
-    by_sigma = table.groupby("sigma")
-    for column in columns:
-        shown[_RMS[column]] = [
-            interval_text(*statistics.over_seeds(np.mean, of[column], least=0.0)[:3])
-            for of in (by_sigma.get_group(sigma) for sigma in sigmas)
-        ]
-    return shown
 
 
 # One interpretation at a time

@@ -12,8 +12,6 @@ others, of the RHE, were as likely: -2 log likelihood 0.8 and 3.4 higher, of -14
 `python -m notebooks.studies.order_in_worlds` makes all files of this module in data/.
 """
 
-import argparse
-
 import numpy as np
 import pandas as pd
 
@@ -260,17 +258,9 @@ def effective_worlds():
 
 def main():
     """Fit the noise in each of the posterior's worlds, and drive them by each rule."""
-    parser = argparse.ArgumentParser(
-        "python -m notebooks.studies.order_in_worlds", description=__doc__
-    )
-    parts = ("noises", "drives")
-    parser.add_argument("part", nargs="*", default=parts, help=f"of {parts}; without any, all")
-    chosen = parser.parse_args().part
     worlds = which_worlds.posterior_worlds()
-    if "noises" in chosen:
-        fitted_noises(worlds).to_csv(NOISES, index=False)
-    if "drives" in chosen:
-        which_worlds.write(drive_by_rule(with_noises(worlds, pd.read_csv(NOISES))), ORDER_DRIVES)
+    fitted_noises(worlds).to_csv(NOISES, index=False)
+    which_worlds.write(drive_by_rule(with_noises(worlds, pd.read_csv(NOISES))), ORDER_DRIVES)
 
 
 if __name__ == "__main__":

@@ -194,7 +194,7 @@ def _interval(value, error, freedom, confidence=CONFIDENCE):
     return value - half, value + half
 
 
-def over_seeds(statistic, *samples, confidence=CONFIDENCE, least=-np.inf):
+def over_seeds(statistic, *samples, least=-np.inf):
     """Estimate a statistic over seeds with its interval.
 
     Args:
@@ -202,7 +202,6 @@ def over_seeds(statistic, *samples, confidence=CONFIDENCE, least=-np.inf):
             `np.mean` or `ratio_of_means`.
         samples: Arrays (seeds,) in the same order of seeds. A seed that is missing (NaN) in one of
             them is left out of all.
-        confidence: With which the interval holds the truth.
         least: What the statistic cannot be below, such as 0 of an error or a count.
 
     Returns:
@@ -213,7 +212,7 @@ def over_seeds(statistic, *samples, confidence=CONFIDENCE, least=-np.inf):
     if samples.shape[1] < 2:
         return Interval(np.nan, np.nan, np.nan, samples.shape[1])
     value, error, freedom = _estimate(statistic, samples)
-    low, high = _interval(value, error, freedom, confidence)
+    low, high = _interval(value, error, freedom)
     return Interval(value, max(low, least), high, freedom + 1)
 
 

@@ -14,13 +14,11 @@ None is one that was tuned in the default world, so that the posterior does not 
 
 `python -m notebooks.studies.which_worlds` drives all worlds, in about ten minutes of two quiet
 cores, and writes `data/prior_drives.parquet`, `data/posterior_worlds.csv` and
-`data/posterior_drives.parquet`; it keeps blocks of worlds in build/inverse and goes on where it was
-interrupted. What depends on rules for W is in `notebooks.studies.order_in_worlds`.
+`data/posterior_drives.parquet`. What depends on rules for W is in
+`notebooks.studies.order_in_worlds`.
 """
 
-import argparse
 import dataclasses
-import hashlib
 import itertools
 import pathlib
 from typing import NamedTuple
@@ -33,8 +31,6 @@ from notebooks.studies import abc_regression
 from notebooks.studies.parallel import map_runs
 from notebooks.studies.statistics import share_interval
 from rhec import paper
-from rhec.files import replacing
-from rhec.simulation.campaigns import store
 from rhec.simulation.closed_loop import set_up
 from rhec.simulation.metrics import SETTLING_SAMPLES
 from rhec.simulation.scenario import Scenario
@@ -50,7 +46,7 @@ SECOND_ROUND = 2560  # worlds near those of the first that came near the paper
 KEEP_FIRST = 800  # nearest simulations of the first round, behind the second
 FIELDS = 2  # of each world
 FIRST_SEED = 2000  # beyond held-out and training seeds; world k has FIRST_SEED + 2 k and the next
-_BLOCK = 256  # worlds in one file of build/inverse
+_BLOCK = 256  # worlds that are driven at a time, whose soils have to fit into memory
 KEEP = 4200  # nearest simulations behind a posterior
 DRAWS = 480  # worlds in POSTERIOR_WORLDS
 COPIES = 64  # of the default world, and of the centre, in POSTERIOR_DRIVES
@@ -111,26 +107,13 @@ PRIORS = {
 }
 
 
-class Choice(NamedTuple):
-    """An unknown that is one of a few, each as likely as the others.
-
-    Attributes:
-        values: What it may be.
-        source: Why these.
-    """
-
-    values: tuple
-    source: str
-
-
-# The first turn is to the left by convention: a world and its mirror image give the same numbers,
-# so that turns to the right alone are turns to the left with the opposite slip_difference.
+# Unknowns that are one of a few, each as likely as the others. The first turn is to the left by
+# convention: a world and its mirror image give the same numbers, so that turns to the right alone
+# are turns to the left with the opposite slip_difference.
 CHOICES_OF = {
-    "turns": Choice(
-        ("left", "alternate", "figure_of_eight"), "the paper does not say which way it turned (G18)"
-    ),
-    "start_side": Choice((1, -1), "judged: to the left of the path or to its right"),
-    "command_delay": Choice((0, 1), "the paper, eq. (13), either reading (G10)"),
+    "turns": ("left", "alternate", "figure_of_eight"),  # the paper does not say (G18)
+    "start_side": (1, -1),  # to the left of the path or to its right
+    "command_delay": (0, 1),  # either reading of eq. (13) (G10)
 }
 UNKNOWNS = (*PRIORS, *CHOICES_OF)
 
@@ -197,10 +180,6 @@ class Design(NamedTuple):
     unit: np.ndarray
     weights: np.ndarray
 
-    def part(self, n):
-        """The first n worlds."""
-        return Design(self.unit[:n], self.weights[:n])
-
 
 def first_round(n=FIRST_ROUND):
     """The Design of the first n worlds of the prior: a scrambled Sobol sequence."""
@@ -241,9 +220,9 @@ def worlds_at(unit):
     powers = floor ** (1 - of_range) * ceiling**of_range
     values = np.where(logarithmic, powers, least + (most - least) * of_range)
     worlds = pd.DataFrame(values, columns=list(PRIORS))
-    for (name, choice), of_choice in zip(CHOICES_OF.items(), unit[:, len(PRIORS) :].T):
-        places = np.minimum((of_choice * len(choice.values)).astype(int), len(choice.values) - 1)
-        worlds[name] = [choice.values[place] for place in places]
+    for (name, values), of_choice in zip(CHOICES_OF.items(), unit[:, len(PRIORS) :].T):
+        places = np.minimum((of_choice * len(values)).astype(int), len(values) - 1)
+        worlds[name] = [values[place] for place in places]
     return worlds
 
 
@@ -455,9 +434,9 @@ def write(table, file):
     flat.to_parquet(file, index=False, compression="zstd", compression_level=19)
 
 
-def read(*files):
-    """A table of `drive` from files, whose worlds follow one another."""
-    table = pd.concat(map(pd.read_parquet, files)).astype(float)
+def read(file):
+    """A table of `drive` from a file."""
+    table = pd.read_parquet(file).astype(float)
     columns = pd.MultiIndex.from_tuples([name.split(".") for name in table.columns])
     rows = np.arange(len(table))
     index = pd.MultiIndex.from_arrays([rows // FIELDS, rows % FIELDS], names=_INDEX)
@@ -658,7 +637,7 @@ def _summary(worlds, fields, draws):
     row = {"effective worlds": f"{draws.effective_worlds:.0f}"}
     row |= {f"RHE {w}": f"{np.mean(fields['w_rhe'] == w):.3f}" for w in W_RHE}
     row["EKF printed"] = f"{np.mean(fields['w_ekf'] == 'printed'):.3f}"
-    row |= {turns: f"{np.mean(worlds['turns'] == turns):.2f}" for turns in CHOICES_OF["turns"][0]}
+    row |= {turns: f"{np.mean(worlds['turns'] == turns):.2f}" for turns in CHOICES_OF["turns"]}
     sizes = worlds.assign(slip_difference_size=worlds["slip_difference"].abs())
     for name in ("mu_slip", "kappa_slip", "slip_difference", "slip_difference_size"):
         row[name] = _median_text(sizes[name])
@@ -891,48 +870,28 @@ def truths(table, n, rng, near):
 # Making the files
 
 
-def drive_round(unit, first_world, folder):
-    """Drive worlds at points (n, d) between 0 and 1, in blocks that a folder keeps.
-
-    Blocks of other worlds, code or versions are left alone.
+def drive_round(unit, first_world):
+    """Drive worlds at points (n, d) between 0 and 1, as `prior_drives` has them.
 
     Args:
         unit: The points.
         first_world: Number of the first, which fixes its seeds.
-        folder: Of the blocks.
-
-    Returns:
-        As `kept`.
     """
-    folder = store.open_folder(folder)
-    files = []
+    tables = []
     for first in range(0, len(unit), _BLOCK):
         of_block = unit[first : first + _BLOCK]
         worlds = [*map(fields_of, worlds_at(of_block).to_dict("records"))]
-        design = repr((worlds, VARIANTS, W_RHE, _KEPT, FIELDS)).encode()
         number = first_world + first
-        file = folder / f"{number:06d}_{hashlib.sha256(design).hexdigest()[:16]}.parquet"
-        if not file.exists():
-            table = kept(drive(worlds, FIRST_SEED + FIELDS * number))
-            with replacing(file) as unfinished:
-                write(table, unfinished)
-            print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
-        files.append(file)
-    return read(*files)
+        tables.append(kept(drive(worlds, FIRST_SEED + FIELDS * number)))
+        print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
+    return pd.concat(tables).astype(float)
 
 
 def main():
     """Drive the worlds of both rounds, and write them and the posterior's."""
-    parser = argparse.ArgumentParser(
-        "python -m notebooks.studies.which_worlds", description=__doc__
-    )
-    parser.add_argument(
-        "--folder", type=pathlib.Path, default=pathlib.Path("build/inverse"), help="of the blocks"
-    )
-    folder = parser.parse_args().folder
-    first = drive_round(first_round().unit, 0, folder)
+    first = drive_round(first_round().unit, 0)
     design = both_rounds(first)
-    second = drive_round(design.unit[FIRST_ROUND:], FIRST_ROUND, folder)
+    second = drive_round(design.unit[FIRST_ROUND:], FIRST_ROUND)
     write(pd.concat([first, second]).astype(np.float16), PRIOR_DRIVES)
     _, fields, _ = posterior_draws(simulations(prior_drives(), design))
     fields.to_csv(POSTERIOR_WORLDS, index=False, float_format="%.5g")

@@ -1,7 +1,5 @@
 """Linear time-varying MPC, against its problem written once more."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from oracles import DT, flat, move
@@ -67,15 +65,3 @@ def test_it_is_the_qp_about_the_path(pose, bound):
     x_ref = on_arc(P[0] * P[1] * DT * np.arange(N + 1))
     expected = by_least_squares(pose, x_ref, bound)
     assert command(pose, x_ref, bound) == pytest.approx(expected, abs=1e-5)
-
-
-@pytest.mark.parametrize("backwards", [False, True])
-def test_a_robot_that_knows_the_truth_follows_its_path(backwards):
-    """Forwards and in reverse, to a tenth of the tolerance on even soil."""
-    quiet = dict(mu_deviation=0.0, kappa_deviation=0.0, bump_sigma_radps=0.0, gnss_sigma_m=0.0)
-    scenario = rhec.Scenario(
-        estimator="oracle", duration_s=120.0, r=0.1, backwards=backwards, **quiet
-    )
-    run = rhec.simulate(dataclasses.replace(scenario, controller=ltv_mpc.controller(scenario)))
-    assert run.metrics["solver_ok"]
-    assert run.metrics["mean_error_true_m"] < 0.1 * paper.TOLERANCE_M

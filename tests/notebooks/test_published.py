@@ -1,7 +1,6 @@
 """Pictures and tables in git are what the code makes of the drives and tables in git.
 
-Of pictures, small copies are kept beside this file. Those of many drives are not; `test_figures`
-compares what they show with the drives.
+Of pictures, small copies are kept beside this file: of those of many drives, with a few.
 """
 
 import functools
@@ -12,12 +11,20 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import recorded_log
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import rhec
 from docs.site.check_figures import difference
-from notebooks.further import faults, recorded_logs, traction_worth_plots
+from notebooks.further import (
+    faults,
+    recorded_logs,
+    recorded_logs_plots,
+    traction_worth_plots,
+    your_robot,
+)
+from notebooks.further.recorded import scores
 from notebooks.plots import robot_drawings, scenarios, which_worlds
 from notebooks.plots.timing import phases
 from notebooks.studies import order_in_worlds, scenario_tables
@@ -81,6 +88,66 @@ def phases_of_the_paper():
     return pd.DataFrame(rows, columns=columns)
 
 
+@functools.cache
+def drives():
+    """Two short drives of the RHE, and one on soft soil."""
+    short = dict(duration_s=75.0, row_length_m=4.0)
+    two = [
+        rhec.simulate(rhec.Scenario(seed=seed, process_noise="prediction", **short))
+        for seed in range(2)
+    ]
+    return two, [rhec.simulate(rhec.Scenario(duration_s=75.0, **rhec.WORLDS["soft"]))]
+
+
+def estimates():
+    two, soft = drives()
+    return scenarios.estimates({"a title": two, "soft soil": soft})
+
+
+def replay_yaw():
+    """Of a log of two segments, in the second of which the first yaw is a turn off."""
+    one = recorded_log(5.0, 30.0, noise_m=0.02, seed=1).assign(segment="a")
+    turned = one.assign(segment="b", t_s=one["t_s"] + 30.0)
+    log = pd.concat([one, turned], ignore_index=True)
+    given = dict(process_noise="prediction", sigma_v=paper.SIGMA_V, trust_log=True)
+    replays = {
+        name: scores.perturbed_replay(log, 0, yaw_error_rad=off_rad, **given)
+        for name, off_rad in (("RHE", 0.3), ("EKF", 3.0))
+    }
+    return recorded_logs_plots.replay_yaw(replays)
+
+
+OWN_PATH = rhec.Path.from_segments([(20.0, 0.0)])
+OWN_BOUNDS = {"left": (0.0, 0.7), "right": None}
+
+
+def own_log():
+    """Of one's own robot, 0.3 m beside the path, estimated 0.05 m off and slips by 0.02 and 0.04;
+    1 more in the samples that do not count, the first half of each half.
+    """
+    n = 40
+    early = np.where(np.repeat([False, True, False, True], n // 4), 0.0, 1.0)[:, None]
+    x = np.column_stack([np.linspace(0, 10, n), np.full(n, -0.3), np.zeros(n)])
+    x[:, 1:2] -= early
+    slips = np.tile([0.1, 0.2], (n, 1))
+    u = np.full((n, 2), 0.5)
+    u[:3, 0], u[3, 1] = 0.7, 0.0
+    return dict(
+        x=x,
+        z=np.hstack([x, u]) + 0.1,
+        u=u,
+        x_hat=x + (0.03, -0.04, 0.0) + early,
+        p_hat=slips + (0.02, -0.04) + early,
+        sigma=np.tile([9.0, 9.0, 9.0, 0.1, 0.2], (n, 1)),  # of the pose, then of the slips
+        slips=slips,
+    )
+
+
+def own_slips():
+    limits = dict.fromkeys(OWN_BOUNDS, (0.0, 0.7))
+    return your_robot.parameters_and_commands(0.2 * np.arange(40), own_log(), OWN_BOUNDS, limits)
+
+
 PICTURES = {
     "fig01_robot_in_row": robot_drawings.robot_in_row,
     "fig02_robot_parts": robot_drawings.robot_parts,
@@ -91,14 +158,20 @@ PICTURES = {
     "fig07_trajectories": lambda: scenarios.trajectories(pairs()),
     "fig08_errors": lambda: scenarios.errors(pairs()),
     "fig09_violations": lambda: scenarios.violations(table("table_scenario_b")),
+    "fig10_estimates": estimates,
+    "fig11_speed": lambda: scenarios.speed(drives()[0]),
     "fig12_yaw_rate": lambda: scenarios.yaw_rate(pairs()["printed"]["RHE"]),
+    "fig13_kkt": lambda: scenarios.kkt(drives()[0]),
     "inverse_posterior": lambda: which_worlds.posterior(*inverse()[0]),
+    "replay_yaw": replay_yaw,
     "slip_fields": lambda: scenarios.slip_fields(
         pairs()["printed"]["RHE"].terrain, pairs()["printed"]["RHE"].path, "slip fields"
     ),
     "traction_map": lambda: traction_worth_plots.map_of_worth(
         table("table_traction_map").astype(dict(told=str))
     ),
+    "your_robot_path": lambda: your_robot.positions(own_log(), OWN_PATH),
+    "your_robot_slips": own_slips,
 }
 
 
@@ -157,3 +230,8 @@ def test_the_published_scores_of_a_replay_are_those_of_the_example_log():
     made = recorded_logs.replay_table(trials)
     of = table("table_replay")
     assert difference(made, of[of["estimator"] == "EKF"].reset_index(drop=True)) == ""
+
+
+def test_the_table_of_one_s_own_robot_counts_where_its_slips_have_converged():
+    table = your_robot.errors(own_log(), OWN_PATH, 0.7)
+    assert [*table["value"]] == pytest.approx([0.3, 0.05, 0.02, 0.04, 4 / 40])

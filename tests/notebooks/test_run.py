@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -15,7 +14,6 @@ import nbformat
 import papermill
 import pytest
 from helpers import NOTEBOOKS
-from jupyter_client.connect import LocalPortCache
 from jupyter_server.services.contents.filemanager import FileContentsManager
 from nbconvert import HTMLExporter
 from nbformat import v4
@@ -145,10 +143,26 @@ def test_no_notebook_with_other_parameters_writes_to_figures(path, as_it_is, mon
         )
 
 
-def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
-    path = "notebooks/03_scenario_a.ipynb"
-    monkeypatch.setattr(sys, "argv", ["notebook", path, "--help"])
-    notebook.main()
+def toy(folder, source, tags=()):
+    """A notebook of one cell of code; its path."""
+    cell = v4.new_code_cell(source, metadata={"tags": [*tags]})
+    nbformat.write(v4.new_notebook(cells=[cell]), folder / "toy.ipynb")
+    return folder / "toy.ipynb"
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """The command line, a function of its words."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["notebook", *words])
+        notebook.main()
+
+    return run
+
+
+def test_help_of_a_notebook_names_its_parameters(command, capsys):
+    command("notebooks/03_scenario_a.ipynb", "--help")
     shown = capsys.readouterr().out
     assert "start_offset_m [m]: number, -5 to 5 (default: 1.0)" in shown
     assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
@@ -156,40 +170,39 @@ def test_help_of_a_notebook_names_its_parameters(monkeypatch, capsys):
     assert "-p seed 0" in shown
 
 
-def test_the_runner_refuses_what_the_notebook_itself_uses_and_what_is_no_notebook(
-    tmp_path, monkeypatch, capsys
-):
-    tagged = v4.new_code_cell("seed: int = 7", metadata={"tags": ["parameters"]})
-    nbformat.write(v4.new_notebook(cells=[tagged]), tmp_path / "toy.ipynb")
-    monkeypatch.chdir(tmp_path)
-    for words, sentence in (
+@pytest.mark.parametrize(
+    "words, sentence",
+    [
         (["toy.ipynb", "-p", "rhec", "1"], "rhec was 1, but there is no such parameter; did you "),
         (["none.ipynb"], "NOTEBOOK was none.ipynb; it must be an existing .ipynb file\n"),
         ([__file__], f"NOTEBOOK was {__file__}; it must be an existing .ipynb file\n"),
         (["toy.ipynb", "--output", "out"], "--output was out; it must be a file's name that ends "),
-    ):
-        monkeypatch.setattr(sys, "argv", ["notebook", *words])
-        with pytest.raises(SystemExit) as refusal:
-            notebook.main()
-        assert refusal.value.code == 2 and capsys.readouterr().err.startswith(sentence)
+    ],
+)
+def test_the_runner_refuses_what_the_notebook_itself_uses_and_what_is_no_notebook(
+    words, sentence, command, tmp_path, monkeypatch, capsys
+):
+    toy(tmp_path, "seed: int = 7", ["parameters"])
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as refusal:
+        command(*words)
+    assert refusal.value.code == 2 and capsys.readouterr().err.startswith(sentence)
 
 
+@pytest.mark.parametrize(
+    "words, values, output",
+    [
+        (["notebooks/further/faults.ipynb"], {}, "further/faults.ipynb"),
+        (["notebooks/02_equations.ipynb", "-p", "n", "3"], {"n": 3}, "02_equations-custom.ipynb"),
+    ],
+)
 def test_an_executed_notebook_goes_where_make_looks_and_one_with_other_values_beside_it(
-    monkeypatch, capsys
+    words, values, output, command, monkeypatch, capsys
 ):
     ran = []
-    monkeypatch.setattr(notebook, "run", lambda *given: ran.append(given))
-    for words in (
-        ["notebooks/further/faults.ipynb"],
-        ["notebooks/02_equations.ipynb", "-p", "n", "3"],
-    ):
-        monkeypatch.setattr(sys, "argv", ["notebook", *words])
-        notebook.main()
-    folder = ROOT / "build/notebooks"
-    assert [given[1:] for given in ran] == [
-        ({}, folder / "further/faults.ipynb"),
-        ({"n": 3}, folder / "02_equations-custom.ipynb"),
-    ]
+    monkeypatch.setattr(notebook, "run", lambda *given: ran.append(given[1:]))
+    command(*words)
+    assert ran == [(values, ROOT / "build/notebooks" / output)]
 
 
 def test_every_notebook_is_made_by_make():
@@ -198,41 +211,22 @@ def test_every_notebook_is_made_by_make():
     assert {*names} >= {each.stem for each in ROOT.glob("notebooks/*.ipynb")}
 
 
-A_COLUMN = """from matplotlib.figure import Figure
-from notebooks.run import parameters
-from rhec import style
-parameters(globals())
-Figure(figsize=(style.COLUMN_IN, 1)).subplots().figure"""
-OWN_ALT = 'display(new("L", (9, 9)), metadata={"image/png": {"alt": "its own"}})'
-
-
-def toy(folder, *sources):
-    """A notebook of one heading and these cells of code, and its path."""
-    cells = [v4.new_markdown_cell("# A heading"), *map(v4.new_code_cell, sources)]
-    path = folder / "toy.ipynb"
-    nbformat.write(v4.new_notebook(cells=cells), path)
-    return path
-
-
-def run_toy(monkeypatch, path, *options):
-    """Run a notebook as the command line does; its output."""
-    output = path.with_name("out.ipynb")
-    arguments = ["notebook", str(path), "--output", str(output), *options]
-    monkeypatch.setattr(sys, "argv", arguments)
-    notebook.main()
-    return output
-
-
-def test_outputs_that_jupyterlab_saves_are_no_edit(tmp_path, monkeypatch):
-    path = toy(tmp_path, "1 + 1")
-    output = run_toy(monkeypatch, path)
+def test_outputs_that_jupyterlab_saves_are_no_edit(command, tmp_path, monkeypatch):
+    edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
+    path = toy(tmp_path, edit)
+    output = tmp_path / "out.ipynb"
+    words = str(path), "--output", str(output)
+    command(*words)
+    # For make the output is older than what was edited while it ran.
+    assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
     made = output.read_bytes()
     shutil.copy(output, path)
-    run_toy(monkeypatch, path, "--if-edited")
+    command(*words, "--if-edited")
     assert output.read_bytes() == made and output.stat().st_mtime >= path.stat().st_mtime
     edited = []
     monkeypatch.setattr(notebook, "run", lambda *given: edited.append(given))
-    run_toy(monkeypatch, toy(tmp_path, "1 + 2"), "--if-edited")
+    toy(tmp_path, "1 + 2")
+    command(*words, "--if-edited")
     assert edited == [(path, {}, output)]
 
 
@@ -289,23 +283,6 @@ def test_a_kernel_that_dies_before_the_first_cell_starts_again_and_no_other_does
         assert len(begun) == starts
 
 
-@pytest.mark.nightly
-def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd):
-    find_free_port = LocalPortCache.find_available_port
-    asked = []
-    with socket.create_server(("127.0.0.1", 0)) as other:
-
-        def find_available_port(self, ip):
-            asked.append(ip)
-            return find_free_port(self, ip) if len(asked) > 1 else other.getsockname()[1]
-
-        monkeypatch.setattr(LocalPortCache, "find_available_port", find_available_port)
-        output = run_toy(monkeypatch, toy(tmp_path, "1 + 1"))
-    assert len(asked) == 10  # of two kernels
-    assert "toy: its kernel did not start, so another one does\n" in capfd.readouterr().out
-    assert nbformat.read(output, 4).cells[1].outputs[0].data["text/plain"] == "2"
-
-
 @pytest.mark.parametrize(
     "error, code, said",
     [
@@ -316,37 +293,33 @@ def test_a_kernel_whose_port_is_taken_starts_again(tmp_path, monkeypatch, capfd)
     ],
 )
 def test_a_cell_that_fails_is_told_in_a_sentence_where_it_can_be(
-    error, code, said, tmp_path, monkeypatch, capsys
+    error, code, said, command, tmp_path, monkeypatch, capsys
 ):
     def run(*given):
         raise PapermillExecutionError(0, 1, "a cell", *error, [])
 
     monkeypatch.setattr(notebook, "run", run)
     with pytest.raises(SystemExit) as ended:
-        run_toy(monkeypatch, toy(tmp_path, "1 + 1"))
+        command(str(toy(tmp_path, "1 + 1")))
     assert ended.value.code == code and capsys.readouterr().err.startswith(said)
 
 
-def test_pictures_have_the_captions_above_them_as_alternative_texts(tmp_path, monkeypatch):
-    """A cell may describe its own; nbconvert writes them into its pages.
-
-    A figure a column wide has 900 pixels. For make the output is older than what was edited while
-    it ran.
-    """
-    edit = f"from pathlib import Path\nPath({str(tmp_path / 'toy.ipynb')!r}).touch()"
-    path = toy(tmp_path, f"{edit}\nfrom PIL.Image import new\nnew('L', (9, 9))", OWN_ALT, A_COLUMN)
-    found = nbformat.read(path, 4)
+def test_pictures_have_the_captions_above_them_as_alternative_texts():
+    """A cell may describe its own; nbconvert writes them into its pages."""
     caption = "**Figure 1.** The `error` by [GNSS](there.md)." + " More." * 99
     caption = f"**Figure 0.** Another.\n\n{caption}\n\nWords after."
-    found.cells.insert(1, v4.new_markdown_cell(caption))
-    nbformat.write(found, path)
-    output = run_toy(monkeypatch, path)
-    assert output.stat().st_mtime_ns < path.stat().st_mtime_ns
-    page, _ = HTMLExporter().from_filename(str(output))
-    one, other, _ = re.findall(r'<img alt="(.*?)"', page)
-    *_, column = (cell.outputs[0] for cell in nbformat.read(output, 4).cells if "outputs" in cell)
-    picture = Image.open(io.BytesIO(base64.b64decode(column.data["image/png"])))
-    assert picture.width == pytest.approx(900, abs=1)
+    pixels = io.BytesIO()
+    Image.new("L", (9, 9)).save(pixels, "png")
+    png = {"image/png": base64.b64encode(pixels.getvalue()).decode()}
+    outputs = [
+        v4.new_output("display_data", png, metadata=metadata)
+        for metadata in ({}, {"image/png": {"alt": "its own"}})
+    ]
+    cells = [v4.new_markdown_cell(caption), v4.new_code_cell("new('L')", outputs=outputs)]
+    executed = v4.new_notebook(cells=cells)
+    notebook._describe_pictures(executed)
+    page, _ = HTMLExporter().from_notebook_node(executed)
+    one, other = re.findall(r'<img alt="(.*?)"', page)
     assert one.startswith("Figure 1. The error by GNSS. More.") and len(one) <= 250
     assert other == "its own" and "No description has been provided" not in page
 

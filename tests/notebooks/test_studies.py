@@ -1,7 +1,6 @@
 """What studies share: estimators that a replay of a log compares, runs on many workers, C."""
 
 import subprocess
-from concurrent.futures import BrokenExecutor, Executor, Future
 
 import numpy as np
 import pandas as pd
@@ -10,9 +9,7 @@ import pytest
 import rhec
 from notebooks.further import consistency, faults, recorded_logs, transfer, unknowns
 from notebooks.studies import interpretations, order, order_in_worlds, parallel, tables, toolchain
-from notebooks.studies.parallel import map_runs
 from rhec import style
-from rhec.simulation.campaigns import campaign, workers
 
 
 def test_the_papers_estimators_have_the_noise_that_was_asked_for():
@@ -62,35 +59,19 @@ def test_a_table_for_readers_has_the_order_of_what_it_shows(name):
         assert list(shown.columns) == list(dict.fromkeys(table[columns]))
 
 
-class Deadly(Executor):
-    """Workers in this process; who gets the scenario at place 1 dies."""
-
-    def submit(self, function, task):
-        future = Future()
-        if isinstance(task, dict) and 1 in task:
-            future.set_exception(BrokenExecutor())
-        else:
-            future.set_result(function(task))
-        return future
-
-
 def test_a_scenario_that_kills_its_workers_is_named(monkeypatch):
-    deadly = workers.get_workers(Deadly(), large=True)
-    monkeypatch.setattr(campaign, "get_workers", lambda count, large: deadly)
-    scenarios = [rhec.Scenario(duration_s=2.0, seed=seed) for seed in range(3)]
+    parts = [{0: 1.0, 2: 3.0}, {1: None}]
+    monkeypatch.setattr(parallel, "run_all", lambda *given: parts)
     with pytest.raises(RuntimeError, match="every worker that ran scenario 1 died"):
-        map_runs(_error, scenarios)
-    assert map_runs(_error, scenarios[:1]) == [_error(rhec.simulate(scenarios[0]))]
+        parallel.map_runs(None, range(3))
+    parts[1] = {1: 2.0}
+    assert parallel.map_runs(None, range(3)) == [1.0, 2.0, 3.0]
 
 
 def test_the_true_error_of_a_robot_that_is_lost_is_infinite(monkeypatch):
     rows = pd.DataFrame(dict(mean_error_true_m=[0.1, np.nan]))
     monkeypatch.setattr(parallel, "drive", lambda groups, workers: dict.fromkeys(groups, rows))
     assert [*parallel.true_errors(dict(one=[]))["one"]] == [0.1, np.inf]
-
-
-def _error(run):
-    return run.metrics["mean_error_m"]
 
 
 @pytest.mark.skipif(toolchain.this_machine() is None, reason="there is no C compiler")
@@ -112,22 +93,11 @@ def test_a_stack_is_as_deep_as_the_largest_sum_over_a_chain_of_calls(tmp_path):
     assert found["stack_bytes"] == 16 + 32 + 80 and 40 <= found["code_bytes"] < 400
 
 
-def test_a_machine_is_there_with_its_compiler_and_its_emulator(monkeypatch):
-    found = {}
-    own = ["/bin/cc"]
-    monkeypatch.setattr(toolchain.shutil, "which", found.get)
-    monkeypatch.setattr(toolchain.compiled, "compiler", lambda: own[0])
-    assert toolchain.this_machine().compiler == "/bin/cc"
-    found["gcc"] = "/bin/gcc"  # it alone writes how large the stack grows
-    assert toolchain.this_machine().compiler == "/bin/gcc"
+def test_arm_is_emulated_where_there_are_a_cross_compiler_and_an_emulator(monkeypatch):
+    found = {"aarch64-linux-gnu-gcc": "/bin/cross", "qemu-aarch64": "/bin/qemu"}
     monkeypatch.setattr(toolchain.platform, "machine", lambda: "x86_64")
-    both = {"aarch64-linux-gnu-gcc": "/bin/cross", "qemu-aarch64": "/bin/qemu"}
-    for name in both:
-        found |= both
-        assert toolchain.arm() == ("aarch64", "/bin/cross", ("/bin/qemu",))
-        del found[name]
+    monkeypatch.setattr(toolchain.shutil, "which", found.get)
+    assert toolchain.arm() == ("aarch64", "/bin/cross", ("/bin/qemu",))
+    for name in [*found]:
+        monkeypatch.setattr(toolchain.shutil, "which", {**found, name: None}.get)
         assert toolchain.arm() is None
-    monkeypatch.setattr(toolchain.platform, "machine", lambda: "aarch64")
-    assert toolchain.arm() == ("aarch64", "/bin/gcc", ())
-    own[0] = None
-    assert toolchain.this_machine() is toolchain.arm() is None

@@ -90,95 +90,12 @@ def midpoint(xi, omega, p):
     return xi + DT * model.f(ca.DM(xi) + DT / 2 * k1, omega, p)
 
 
-@pytest.mark.parametrize(
-    "step, said",
-    [
-        (lambda xi, omega, p: xi + DT * model.f(xi, omega, p), "an Euler step"),
-        (lambda xi, omega, p: rk4(xi, omega, [p[0], 1, p[2]]), "μ = 1"),
-        (lambda xi, omega, p: rk4(xi, omega, [p[0], p[1], 1]), "κ = 1"),
-        (midpoint, "fourth order"),
-        (lambda xi, omega, p: [0, 0], "returned 2 numbers; it should return 3"),
-        (lambda xi, omega: xi, "raised TypeError"),
-        (lambda xi, omega, p: [np.nan] * 3, "finite"),
-        (..., "nothing here yet"),
-    ],
-)
-def test_a_wrong_interval_is_found_out(step, said):
-    answer = tutorial_checks.interval(step)
-    assert not answer.right and said in answer.sentence
-
-
-def test_any_right_interval_is_accepted():
-    def exact(xi, omega, p):  # no Runge-Kutta at all
-        nu, mu, kappa = p
-        radius = mu * nu / (kappa * omega)
-        end = xi[2] + kappa * omega * DT
-        return (
-            xi[0] + radius * (np.sin(end) - np.sin(xi[2])),
-            xi[1] + radius * (np.cos(xi[2]) - np.cos(end)),
-            end,
-        )
-
-    assert tutorial_checks.interval(rk4).right
-    assert tutorial_checks.interval(exact).right
-
-
-@pytest.mark.parametrize(
-    "q, said", [(paper.Q1, "never settles"), (paper.Q2, "too far"), (paper.Q3, "too slow")]
-)
-def test_weights_that_do_not_do_are_found_out(q, said):
-    answer = tutorial_checks.weights(q)
-    assert not answer.right and said in answer.sentence
-
-
-def test_more_than_one_choice_of_weights_does():
-    assert tutorial_checks.weights((10.0, 10.0, 10.0)).right
-    assert tutorial_checks.weights((1.0, 1.0, 0.3)).right
-
-
-@pytest.mark.parametrize(
-    "turn, said",
-    [
-        (lambda c, p: c * p[0] * p[1], "what does κ do"),
-        (lambda c, p: c * p[0] / p[2], "what does μ do"),
-        (lambda c, p: -c * p[0] * p[1] / p[2], "off the circle"),
-        (lambda c, p: c * p[0] * p[1] / p[2], None),
-    ],
-)
-def test_the_right_turn_alone_is_accepted(turn, said):
-    answer = tutorial_checks.feedforward(turn)
-    assert answer.right == (said is None) and (said or "") in answer.sentence
-
-
-def estimator(mu_next):
-    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
-    x, y, theta, _, mu, _ = ca.vertsplit(memory)
-    theta = theta + DT * 0.8 * z[3]
-    x, y = x + DT * mu * z[2] * ca.cos(theta), y + DT * mu * z[2] * ca.sin(theta)
-    ahead, side = (
-        ca.cos(theta) * (z[0] - x) + ca.sin(theta) * (z[1] - y),
-        ca.cos(theta) * (z[1] - y) - ca.sin(theta) * (z[0] - x),
-    )
-    new = ca.vertcat(
-        x + 0.2 * (z[0] - x),
-        y + 0.2 * (z[1] - y),
-        theta + 0.1 * side,
-        z[2],
-        mu_next(mu, ahead),
-        0.8,
-    )
-    return ca.Function("one", [memory, z], [new, new])
-
-
-@pytest.mark.nightly
-def test_an_estimator_must_learn():
-    first = estimator(lambda mu, ahead: 0.9)
-    assert tutorial_checks.estimator(
-        estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu + 0.1 * ahead, 0), 1)), first
-    ).right
-    backwards = estimator(lambda mu, ahead: ca.fmin(ca.fmax(mu - 0.1 * ahead, 0), 1))
-    answer = tutorial_checks.estimator(backwards, first)
-    assert not answer.right and "below zero" in answer.sentence
+def exact(xi, omega, p):  # no Runge-Kutta at all
+    nu, mu, kappa = p
+    radius = mu * nu / (kappa * omega)
+    end = xi[2] + kappa * omega * DT
+    x = xi[0] + radius * (np.sin(end) - np.sin(xi[2]))
+    return x, xi[1] + radius * (np.cos(xi[2]) - np.cos(end)), end
 
 
 def function_of(n_z=4, n_estimate=6, n_after=2):
@@ -186,18 +103,7 @@ def function_of(n_z=4, n_estimate=6, n_after=2):
     return ca.Function("wrong", [memory, z], [ca.SX(n_after, 1), ca.SX(n_estimate, 1)])
 
 
-@pytest.mark.parametrize(
-    "wrong, said",
-    [
-        ("rhe", "is a str"),
-        (function_of(n_z=3), "z has 3 entries"),
-        (function_of(n_estimate=5), "estimate has 5 entries"),
-        (function_of(n_after=3), "as long as the one that goes in"),
-    ],
-)
-def test_what_is_no_estimator_is_told_before_a_drive(wrong, said):
-    answer = tutorial_checks.estimator(wrong, estimator(lambda mu, ahead: 0.9))
-    assert not answer.right and said in answer.sentence
+PATH = rhec.Path.from_segments([(30.0, 0.0), (np.pi * 7.8, 1 / 7.8), (30.0, 0.0)])
 
 
 def strip(mu=(0.6, 0.9), kappa=(0.5, 0.8), start=-10.0, end=46.0, cell=0.5, edges=(20, 25)):
@@ -208,39 +114,72 @@ def strip(mu=(0.6, 0.9), kappa=(0.5, 0.8), start=-10.0, end=46.0, cell=0.5, edge
     )
 
 
-PATH = rhec.Path.from_segments([(30.0, 0.0), (np.pi * 7.8, 1 / 7.8), (30.0, 0.0)])
+DRAW = np.random.default_rng(3)
+HARD = DRAW.normal(size=40)
+ONE, OTHER = HARD + 0.1 * DRAW.normal(size=40), HARD + 0.1 + 0.1 * DRAW.normal(size=40)
+GAIN = ONE - OTHER
+MEAN = GAIN.mean()
+HALF = 1.96 * GAIN.std(ddof=1) / np.sqrt(40)
+APART = 1.96 * np.sqrt((ONE.var() + OTHER.var()) / 40)
+SINGLE = 1.96 * GAIN.std()
 
 
-def test_a_terrain_must_have_the_strip():
-    assert tutorial_checks.terrain(strip(), PATH).right
-    assert tutorial_checks.terrain(strip(cell=0.25), PATH).right
-    for wrong, said in [
-        (strip(edges=(18, 25)), "outside the strip"),
-        (strip(kappa=(0.8, 0.8)), "in the strip"),
-        (strip(end=23.0), "outside the strip"),
-        (strip(cell=1.0), "at most 0.5 m"),
-    ]:
-        answer = tutorial_checks.terrain(wrong, PATH)
-        assert not answer.right and said in answer.sentence, answer
+def interval_about(mean, half):
+    return mean, mean - half, mean + half
 
 
-def test_an_interval_must_be_of_the_paired_differences():
-    draw = np.random.default_rng(3)
-    hard = draw.normal(size=40)
-    one, other = hard + 0.1 * draw.normal(size=40), hard + 0.1 + 0.1 * draw.normal(size=40)
-    gain = one - other
-    mean, half = gain.mean(), 1.96 * gain.std(ddof=1) / np.sqrt(40)
-    assert tutorial_checks.difference(tutorial_checks.paired(one, other), one, other).right
-    assert tutorial_checks.difference(
-        (mean, mean - half, mean + half), one, other
-    ).right  # the normal distribution's is as good
-    apart = 1.96 * np.sqrt((one.var() + other.var()) / 40)
-    for wrong, said in [
-        ((mean, mean - apart, mean + apart), "taken apart"),
-        ((mean, mean - 1.96 * gain.std(), mean + 1.96 * gain.std()), "single seeds"),
-        ((-mean, -mean - half, -mean + half), "the mean difference is"),
-        ((mean, mean, mean), "wide"),
-        ((mean, half), "2 numbers"),
-    ]:
-        answer = tutorial_checks.difference(wrong, one, other)
-        assert not answer.right and said in answer.sentence, answer
+# An answer to an exercise, and what is said of a wrong one; None: it is right.
+ANSWERS = [
+    (tutorial_checks.interval, rk4, None),
+    (tutorial_checks.interval, exact, None),
+    (tutorial_checks.interval, lambda xi, omega, p: xi + DT * model.f(xi, omega, p), "an Euler"),
+    (tutorial_checks.interval, lambda xi, omega, p: rk4(xi, omega, [p[0], 1, p[2]]), "μ = 1"),
+    (tutorial_checks.interval, lambda xi, omega, p: rk4(xi, omega, [p[0], p[1], 1]), "κ = 1"),
+    (tutorial_checks.interval, midpoint, "fourth order"),
+    (tutorial_checks.interval, lambda xi, omega, p: [0, 0], "returned 2 numbers; it should ret"),
+    (tutorial_checks.interval, lambda xi, omega: xi, "raised TypeError"),
+    (tutorial_checks.interval, lambda xi, omega, p: [np.nan] * 3, "finite"),
+    (tutorial_checks.interval, ..., "nothing here yet"),
+    (tutorial_checks.weights, (1.0, 1.0, 0.3), None),
+    (tutorial_checks.weights, paper.Q1, "never settles"),
+    (tutorial_checks.weights, paper.Q2, "too far"),
+    (tutorial_checks.weights, paper.Q3, "too slow"),
+    (tutorial_checks.feedforward, lambda c, p: c * p[0] * p[1] / p[2], None),
+    (tutorial_checks.feedforward, lambda c, p: c * p[0] * p[1], "what does κ do"),
+    (tutorial_checks.feedforward, lambda c, p: c * p[0] / p[2], "what does μ do"),
+    (tutorial_checks.feedforward, lambda c, p: -c * p[0] * p[1] / p[2], "off the circle"),
+    (tutorial_checks.estimator, "rhe", "is a str"),
+    (tutorial_checks.estimator, function_of(n_z=3), "z has 3 entries"),
+    (tutorial_checks.estimator, function_of(n_estimate=5), "estimate has 5 entries"),
+    (tutorial_checks.estimator, function_of(n_after=3), "as long as the one that goes in"),
+    (tutorial_checks.terrain, strip(), None),
+    (tutorial_checks.terrain, strip(cell=0.25), None),
+    (tutorial_checks.terrain, strip(edges=(18, 25)), "outside the strip"),
+    (tutorial_checks.terrain, strip(kappa=(0.8, 0.8)), "in the strip"),
+    (tutorial_checks.terrain, strip(end=23.0), "outside the strip"),
+    (tutorial_checks.terrain, strip(cell=1.0), "at most 0.5 m"),
+    (tutorial_checks.difference, tutorial_checks.paired(ONE, OTHER), None),
+    # The interval of the normal distribution is as good.
+    (tutorial_checks.difference, interval_about(MEAN, HALF), None),
+    (tutorial_checks.difference, interval_about(MEAN, APART), "taken apart"),
+    (tutorial_checks.difference, interval_about(MEAN, SINGLE), "single seeds"),
+    (tutorial_checks.difference, interval_about(-MEAN, HALF), "the mean difference is"),
+    (tutorial_checks.difference, interval_about(MEAN, 0.0), "wide"),
+    (tutorial_checks.difference, (MEAN, HALF), "2 numbers"),
+]
+GIVEN = dict(estimator=(function_of(),), terrain=(PATH,), difference=(ONE, OTHER))
+
+
+@pytest.mark.parametrize("check, given, said", ANSWERS)
+def test_a_wrong_answer_is_told_why_and_any_right_one_is_accepted(check, given, said):
+    answer = check(given, *GIVEN.get(check.__name__, ()))
+    assert answer.right == (said is None) and (said or "") in answer.sentence, answer
+
+
+@pytest.mark.nightly
+def test_an_estimator_that_is_no_better_than_the_first_has_not_learnt():
+    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    estimate = ca.vertcat(z[:2], memory[2] + 0.8 * DT * z[3], z[2], 0.9, 0.8)
+    first = ca.Function("first", [memory, z], [estimate, estimate])
+    answer = tutorial_checks.estimator(first, first)
+    assert not answer.right and "below zero" in answer.sentence

@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
-import pytest
 
 import rhec
-from notebooks.further import traction_map, unknowns
+from notebooks.further import unknowns
 from notebooks.rivals import RIVALS
 
 SEEDS = 12
@@ -25,39 +24,9 @@ def made_up(factor_of, lost=()):
     }
 
 
-def map_of_equals():
-    """A map of soils on which no constant and no estimate is better than another."""
-    fields = np.random.default_rng(0).uniform(0.02, 0.04, SEEDS)
-    return traction_map.worth_map(
-        {
-            (kappa, variation, loop): fields
-            for kappa in (0.8, 0.65)
-            for variation in traction_map.VARIATIONS
-            for loop in traction_map.loops(kappa)
-        }
-    )
-
-
-def by_rule():
-    """Errors by every rule, of which the yaw drift takes off the more the later the rule comes."""
-    errors = {
-        (world, robot, rule): made_up(drift_pays)[world, robot, unknowns.AS_PRINTED]
-        * (0.9**place if robot == unknowns.BOTH else 1.0)
-        for world in unknowns._ALIKE_OR_NOT
-        for robot in unknowns._BY_RULE
-        for place, rule in enumerate(unknowns.RULES)
-    }
-    return unknowns.rule_table(errors)
-
-
 def drift_pays(robot, weights):
     has_drift = robot in (unknowns.DRIFT, unknowns.BOTH, unknowns.ALL)
     return (0.5 if has_drift else 1.0) * (0.8 if weights == unknowns.TUNED else 1.0)
-
-
-def traction_pays(robot, weights):
-    has_traction = robot in (unknowns.TRACTION, unknowns.BOTH, unknowns.GYRO, unknowns.ALL)
-    return 0.7 if has_traction else 1.0
 
 
 def test_every_robot_is_a_scenario_and_has_what_its_name_says():
@@ -102,11 +71,18 @@ def test_each_robot_drives_every_world_with_the_r_of_its_training_fields(monkeyp
 
 
 def test_a_ratio_is_at_equal_seeds():
-    table = unknowns.worth_table(made_up(drift_pays))
-    rows = table[(table["robot"] == "the yaw drift") & (table["world"] == unknowns.DEFAULT)]
-    np.testing.assert_allclose(rows[["mean", "low", "high"]], 0.5)
-    of_errors = table[table["quantity"] == unknowns.ERROR]
-    assert (of_errors["n"] == SEEDS).all() and (of_errors["lost"] == 0).all()
+    errors = made_up(drift_pays)
+    by_rule = {
+        (unknowns.DEFAULT, robot, "printed"): errors[unknowns.DEFAULT, robot, unknowns.AS_PRINTED]
+        for robot in unknowns._BY_RULE
+    }
+    for table, what in (
+        (unknowns.worth_table(errors), "the yaw drift"),
+        (unknowns.rule_table(by_rule), "the yaw drift, beside the traction"),
+    ):
+        rows = table[(table["robot"] == what) & (table["world"] == unknowns.DEFAULT)]
+        np.testing.assert_allclose(rows[["mean", "low", "high"]], 0.5)
+        assert (table["n"] == SEEDS).all()
 
 
 def test_each_robot_has_a_row_with_its_errors_in_millimetres():
@@ -115,23 +91,6 @@ def test_each_robot_has_a_row_with_its_errors_in_millimetres():
     mean_mm = 1e3 * made_up(drift_pays)["d = 0", unknowns.ORACLE, unknowns.TUNED].mean()
     text = shown.loc[(unknowns.TUNED, unknowns.ORACLE), "d = 0"]
     assert text.startswith(f"{mean_mm:.1f} [") and len(set(shown.iloc[0])) == 1
-
-
-@pytest.mark.parametrize(
-    "factor_of, what, percent",
-    [(drift_pays, "the yaw drift", "50 %"), (traction_pays, "the traction", "30 %")],
-)
-def test_the_words_name_what_pays(factor_of, what, percent):
-    table = unknowns.worth_table(made_up(factor_of))
-    words = unknowns.in_words(table, by_rule(), map_of_equals())
-    n = len(EVERY_WORLD)
-    assert words.startswith(f"**Tune R, and estimate {what}**")
-    line = (
-        f"- **T{what[1:]}**: {percent} with the paper's R, where it pays in {n}; {percent} with R"
-    )
-    assert line in words and ": nothing with the paper's R, where it pays nowhere; nothing" in words
-    assert "Not counted" not in words
-    assert "drift takes off: printed 50 %, consistent 55 %, prediction 60 %, tracking" in words
 
 
 def test_a_world_where_an_oracle_is_lost_does_not_count():
@@ -143,8 +102,6 @@ def test_a_world_where_an_oracle_is_lost_does_not_count():
         lost=table["lost"].mask(of_oracle & (table["weights"] == unknowns.TUNED), 1)
     )
     assert unknowns.drivable(other) == unknowns.drivable(table)
-    words = unknowns.in_words(table, by_rule(), map_of_equals())
-    assert "Not counted is the world 'soft', where the oracle is lost in 100 % of the" in words
 
 
 def test_worlds_of_the_posterior_are_driven_as_they_were_drawn():

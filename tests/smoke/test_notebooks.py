@@ -39,7 +39,7 @@ SMALL = {
         dict(looks=[10], posterior=3, world_fields=3), ("claims", "claims_coverage")
     ),
     "08_interpretations": Small(
-        dict(seeds=2, paired_seeds=4, order_fields=4), ("audit_interpretations", "audit_order")
+        dict(paired_seeds=4, order_fields=4), ("audit_interpretations", "audit_order")
     ),
     "further/faults": Small(dict(seeds=2), ("table_faults",)),
     "further/recorded_logs": Small(dict(seeds=2), ("table_replay",)),
