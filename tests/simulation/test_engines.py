@@ -129,38 +129,3 @@ def test_a_machine_compiles_each_loop_once(tmp_path):
     folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
     libraries = [library for library, _ in folders]
     assert libraries and len(libraries) == len({*libraries})
-
-
-STUDY = """
-import os
-import engines, rhec
-from notebooks.studies.parallel import map_runs
-
-def process_and_error(run):
-    return os.getpid(), run.metrics["mean_error_m"]
-
-if __name__ == "__main__":
-    with engines.dask_cluster() as (address, nannies):
-        os.environ["RHEC_DASK"] = address
-        found = map_runs(process_and_error, engines.scenarios(900))
-        workers = {process.pid for process in engines.children_of(nannies)}
-        assert {process for process, _ in found} <= workers, "it ran elsewhere"
-    del os.environ["RHEC_DASK"]
-    print(repr([error for _, error in found]))
-    print(repr([*rhec.campaign(engines.scenarios(900), workers=1)["mean_error_m"]]))
-"""
-
-
-def test_the_studies_run_on_the_cluster_that_one_variable_names(tmp_path):
-    need("dask")
-    (tmp_path / "study.py").write_text(STUDY)
-    done = subprocess.run(
-        [sys.executable, "study.py"],
-        env=ENVIRONMENT | dict(PYTHONPATH=f"{ENVIRONMENT['PYTHONPATH']}:{tmp_path}"),
-        capture_output=True,
-        text=True,
-        timeout=550,
-        cwd=tmp_path,
-    )
-    in_cluster, here = done.stdout.splitlines()
-    assert in_cluster == here, done.stderr
