@@ -9,15 +9,6 @@ from rhec.simulation import closed_loop
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
-@pytest.mark.parametrize("name", rhec.WORLDS)
-def test_a_world_is_what_differs_from_the_default(name):
-    world, default = rhec.WORLDS[name], rhec.Scenario()
-    scenario = rhec.Scenario(**world, seed=3)
-    assert {field: getattr(scenario, field) for field in world} == world
-    assert all(value != getattr(default, field) for field, value in world.items())
-    assert bool(world) == (name != "default")
-
-
 def test_wet_patches_lie_where_the_path_turns_and_on_a_row():
     """The robot drives over each of them, on their soil; docs/world.md says where they are."""
     scenario = rhec.Scenario(**rhec.WORLDS["wet patches"])
