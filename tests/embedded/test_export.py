@@ -2,7 +2,6 @@
 makes it fail; its report.
 """
 
-import collections
 import dataclasses
 import functools
 import json
@@ -23,14 +22,12 @@ import rhec
 from notebooks.studies import exported_c, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core.estimator.innovation_gate import patience
 from rhec.embedded import exported_functions
 from rhec.simulation.columns import MEASUREMENTS
 
 # The paper's loop, but for its horizons, which only compile longer.
 PAPER = rhec.Scenario(duration_s=20.0, seed=1, estimation_horizon=3, prediction_horizon=3)
 TOLERANCE = 1e-9
-PREDICTED = toolchain.STATUS["predicted"]
 RESTARTED = toolchain.STATUS["estimator_restarted"] + toolchain.STATUS["controller_restarted"]
 # Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
@@ -261,20 +258,6 @@ def test_a_lost_estimate_starts_again_at_the_position_with_the_yaw_it_had(export
     np.testing.assert_array_equal(half, [far[0], last[1], last[2], last[3], 1, 1])
 
 
-def test_positions_that_jump_are_not_used_until_one_has_to_be(robot, measured):
-    """Positions that jump by more than anything drives are not used, until one has to be because
-    so many were not. When they no longer jump, the estimate returns to them.
-    """
-    most = patience(PAPER.estimation_horizon)
-    for k, row in enumerate(np.tile(measured[:30], (4, 1))):
-        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 80), 0, 0, 0])
-        assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
-        assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
-        if 10 <= k < 9 + most:
-            assert status & PREDICTED and np.abs(estimate[:2]).max() < 100
-    assert np.abs(estimate[:2] - row[:2]).max() < 1
-
-
 # What it needs; fuzzing
 
 
@@ -334,22 +317,6 @@ def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     assert samples >= 1500 and storms % 10 == 0 and 101 * storms <= samples <= 160 * storms
     assert came_back["still_lost"] < 0.2 * storms and came_back["unnoticed"] == 0
     assert 0 < came_back["estimator_restarted"] < 0.9 * samples
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_answers_are_bounded_while_fuzzing(exported, built):
-    """`fuzz` fails where an estimate is not finite or a command out of bounds."""
-    for name in ("paper", "faults", "EKF"):
-        machine, objects = built(name)
-        program = toolchain.program(machine, exported(name), "fuzz", objects)
-        came_back = toolchain.nonsense(machine, program, 30_000, 7).iloc[0]
-        lost, storms = came_back["still_lost"], came_back["storms"]
-        # After 100 calm samples, seeds 7, 8, 9: paper 0, 0, 1, faults 2, 2, 2, EKF 2, 5, 2 of 230
-        # to 240 storms.
-        assert came_back["samples"] >= 30_000 and lost < 0.05 * storms
-        assert name == "EKF" or came_back["unnoticed"] == 0
-        assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
 WRONG = """#include <stdlib.h>
@@ -468,7 +435,7 @@ def test_a_readme_counts_each_phase_in_the_preparation_or_in_the_feedback(export
     readme = " ".join((exported("paper") / "README.txt").read_text().split())
     said = r"(\d+) scalar operations to prepare, and (\d+) from the measurement on"
     preparing, feeding = map(int, re.search(said, readme).groups())
-    counts = collections.Counter()
+    counts = {True: 0, False: 0}
     for name, phase in exported_functions.export(PAPER, False).phases.items():
         is_prepared = name.endswith(("expand", "shift", "linearise"))
         counts[is_prepared] += exported_functions.operations(phase.function)
