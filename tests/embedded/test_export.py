@@ -28,7 +28,6 @@ from rhec.simulation.columns import MEASUREMENTS
 # The paper's loop, but for its horizons, which only compile longer.
 PAPER = rhec.Scenario(duration_s=20.0, seed=1, estimation_horizon=3, prediction_horizon=3)
 TOLERANCE = 1e-9
-RESTARTED = toolchain.STATUS["estimator_restarted"] + toolchain.STATUS["controller_restarted"]
 # Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
@@ -205,19 +204,6 @@ def test_implausible_entries_of_the_guess_are_replaced(robot, measured):
             assert (abs(estimate[place]) > 0.8 * largest) == is_used
 
 
-def test_overwritten_memory_restarts_and_is_reported(exported, robot, measured):
-    for z in measured[:50]:
-        assert robot.step(z)[2] == 0
-    doubles = np.frombuffer(robot.memory, dtype=float)
-    doubles[4:] = np.nan  # all but the settings' address and the counters
-    for k, z in enumerate(measured[50:]):
-        estimate, omega, status = robot.step(z)
-        assert status == (0 if k else RESTARTED) and abs(omega) <= paper.OMEGA_MAX_RADPS
-        assert k == 0 or np.isfinite(estimate).all()
-    x, y = log_of(exported("paper"))[["x_hat_m", "y_hat_m"]].to_numpy()[-1]
-    assert np.hypot(estimate[0] - x, estimate[1] - y) < 0.2
-
-
 def test_a_single_number_that_is_overwritten_does_no_lasting_harm(robot, measured):
     """Whichever it is: after some samples nothing is predicted, planned or restarted."""
     doubles = np.frombuffer(robot.memory, dtype=float)
@@ -388,8 +374,6 @@ def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants
     readme = (exported("paper") / "README.txt").read_text()
     memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
     assert float(re.search(r"every (\S+) ms", readme)[1]) == pytest.approx(1000 * paper.DT_S)
-    assert "rhec_prepare_control(&r)" in readme and "rhec_control(&r, &omega)" in readme
-    assert "/* weights of x, y, theta */" in (exported("paper") / "rhec_memory.h").read_text()
     program = (
         '#include "rhec.h"\n'
         "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"

@@ -101,8 +101,13 @@ def corner_errors(run, log):
             faults=(rhec.Fault(kind="jump", size_m=1.0, start_s=30.0, duration_s=20.0),),
             duration_s=80.0,
         ),
-        dict(q=paper.Q2, start_offset_m=-1.0, duration_s=120.0),
-        dict(start_offset_m=-30.0),
+        dict(
+            q=paper.Q2,
+            start_offset_m=-1.0,
+            faults=(rhec.Fault(kind="missing", start_s=40.0, duration_s=5.0),),
+            duration_s=120.0,
+        ),
+        dict(start_offset_m=-30.0, faults=(rhec.Fault(kind="missing"),)),
     ],
     ids=str,
 )

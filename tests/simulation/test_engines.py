@@ -7,7 +7,6 @@ import contextlib
 import importlib.util
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -18,13 +17,11 @@ import psutil
 import pytest
 
 import rhec
-from rhec.core._casadi import compiled
 from rhec.simulation.campaigns import store
 
 pytestmark = pytest.mark.nightly
 ROOT = Path(rhec.__file__).parents[1]
 DRIVES = 600
-DRIVES_WORTH_LANES = 40
 # That of the user, whose compilers optimise: with those that `conftest` sets later, so many drives
 # would take minutes.
 ENVIRONMENT = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests")
@@ -115,17 +112,3 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(engine, tmp_path):
     engines.wait(lambda: not processes_with("RHEC_TESTED", str(tmp_path)), seconds=60)
     kept = [len(rows) for (folder,) in [tmp_path.glob("*/")] for rows in store.load_rows(folder)]
     assert 0 < sum(kept) < 20_000
-
-
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_a_machine_compiles_each_loop_once(tmp_path):
-    """Its workers wait for the one that compiles."""
-    for name in ("cc", "c++"):
-        log = f'#!/bin/sh\necho "$PWD" >> {tmp_path}/log\nexec "$(command -v {name})" "$@" -O0\n'
-        (tmp_path / name).write_text(log)
-        (tmp_path / name).chmod(0o700)
-    compilers = dict(CC=f"{tmp_path}/cc", CXX=f"{tmp_path}/c++", RHEC_CACHE=f"{tmp_path}/cache")
-    started("dask", DRIVES_WORTH_LANES, **compilers)
-    folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
-    libraries = [library for library, _ in folders]
-    assert libraries and len(libraries) == len({*libraries})

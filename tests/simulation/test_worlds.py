@@ -9,6 +9,12 @@ from rhec.simulation import closed_loop
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
+def test_a_world_is_what_differs_from_the_default():
+    for name, world in rhec.WORLDS.items():
+        scenario, default = rhec.Scenario(**world), rhec.Scenario()
+        assert all(getattr(scenario, of) != getattr(default, of) for of in world), name
+
+
 def test_wet_patches_lie_where_the_path_turns_and_on_a_row():
     """The robot drives over each of them, on their soil; docs/world.md says where they are."""
     scenario = rhec.Scenario(**rhec.WORLDS["wet patches"])
