@@ -2,7 +2,6 @@
 makes it fail; its report.
 """
 
-import collections
 import dataclasses
 import functools
 import json
@@ -23,15 +22,12 @@ import rhec
 from notebooks.studies import exported_c, toolchain
 from rhec import paper
 from rhec.core._casadi import compiled
-from rhec.core.estimator.innovation_gate import patience
 from rhec.embedded import exported_functions
 from rhec.simulation.columns import MEASUREMENTS
 
 # The paper's loop, but for its horizons, which only compile longer.
 PAPER = rhec.Scenario(duration_s=20.0, seed=1, estimation_horizon=3, prediction_horizon=3)
 TOLERANCE = 1e-9
-PREDICTED = toolchain.STATUS["predicted"]
-RESTARTED = toolchain.STATUS["estimator_restarted"] + toolchain.STATUS["controller_restarted"]
 # Without optimising, frames are larger than the limit, which is for an export as it is meant to be.
 QUICKLY = [flag.replace("-O3", "-O0") for flag in toolchain.FLAGS if "frame" not in flag]
 needs_compiler = pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
@@ -208,19 +204,6 @@ def test_implausible_entries_of_the_guess_are_replaced(robot, measured):
             assert (abs(estimate[place]) > 0.8 * largest) == is_used
 
 
-def test_overwritten_memory_restarts_and_is_reported(exported, robot, measured):
-    for z in measured[:50]:
-        assert robot.step(z)[2] == 0
-    doubles = np.frombuffer(robot.memory, dtype=float)
-    doubles[4:] = np.nan  # all but the settings' address and the counters
-    for k, z in enumerate(measured[50:]):
-        estimate, omega, status = robot.step(z)
-        assert status == (0 if k else RESTARTED) and abs(omega) <= paper.OMEGA_MAX_RADPS
-        assert k == 0 or np.isfinite(estimate).all()
-    x, y = log_of(exported("paper"))[["x_hat_m", "y_hat_m"]].to_numpy()[-1]
-    assert np.hypot(estimate[0] - x, estimate[1] - y) < 0.2
-
-
 def test_a_single_number_that_is_overwritten_does_no_lasting_harm(robot, measured):
     """Whichever it is: after some samples nothing is predicted, planned or restarted."""
     doubles = np.frombuffer(robot.memory, dtype=float)
@@ -259,20 +242,6 @@ def test_a_lost_estimate_starts_again_at_the_position_with_the_yaw_it_had(export
     half, _, status = robot.step([far[0], np.nan, np.nan, 0])  # what is missing is as it was
     assert status & toolchain.STATUS["estimator_restarted"]
     np.testing.assert_array_equal(half, [far[0], last[1], last[2], last[3], 1, 1])
-
-
-def test_positions_that_jump_are_not_used_until_one_has_to_be(robot, measured):
-    """Positions that jump by more than anything drives are not used, until one has to be because
-    so many were not. When they no longer jump, the estimate returns to them.
-    """
-    most = patience(PAPER.estimation_horizon)
-    for k, row in enumerate(np.tile(measured[:30], (4, 1))):
-        estimate, omega, status = robot.step(row + [9e7 * (-1) ** k * (10 <= k < 80), 0, 0, 0])
-        assert np.isfinite(estimate).all() and abs(omega) <= paper.OMEGA_MAX_RADPS
-        assert (np.abs(estimate[:4]) <= [1e8, 1e8, 1e6, 100]).all()
-        if 10 <= k < 9 + most:
-            assert status & PREDICTED and np.abs(estimate[:2]).max() < 100
-    assert np.abs(estimate[:2] - row[:2]).max() < 1
 
 
 # What it needs; fuzzing
@@ -334,22 +303,6 @@ def test_sanitizers_find_nothing_while_fuzzing(exported, tmp_path):
     assert samples >= 1500 and storms % 10 == 0 and 101 * storms <= samples <= 160 * storms
     assert came_back["still_lost"] < 0.2 * storms and came_back["unnoticed"] == 0
     assert 0 < came_back["estimator_restarted"] < 0.9 * samples
-
-
-@pytest.mark.nightly
-@needs_compiler
-def test_answers_are_bounded_while_fuzzing(exported, built):
-    """`fuzz` fails where an estimate is not finite or a command out of bounds."""
-    for name in ("paper", "faults", "EKF"):
-        machine, objects = built(name)
-        program = toolchain.program(machine, exported(name), "fuzz", objects)
-        came_back = toolchain.nonsense(machine, program, 30_000, 7).iloc[0]
-        lost, storms = came_back["still_lost"], came_back["storms"]
-        # After 100 calm samples, seeds 7, 8, 9: paper 0, 0, 1, faults 2, 2, 2, EKF 2, 5, 2 of 230
-        # to 240 storms.
-        assert came_back["samples"] >= 30_000 and lost < 0.05 * storms
-        assert name == "EKF" or came_back["unnoticed"] == 0
-        assert 0 < came_back["estimator_restarted"] < came_back["samples"]
 
 
 WRONG = """#include <stdlib.h>
@@ -421,8 +374,6 @@ def test_header_and_readme_tell_the_period_and_the_sizes_of_memory_and_constants
     readme = (exported("paper") / "README.txt").read_text()
     memory, constants = re.findall(r"(?:whole memory|constants) +(\S+)", readme)
     assert float(re.search(r"every (\S+) ms", readme)[1]) == pytest.approx(1000 * paper.DT_S)
-    assert "rhec_prepare_control(&r)" in readme and "rhec_control(&r, &omega)" in readme
-    assert "/* weights of x, y, theta */" in (exported("paper") / "rhec_memory.h").read_text()
     program = (
         '#include "rhec.h"\n'
         "int header[sizeof(struct rhec) == RHEC_MEMORY_BYTES ? 1 : -1];\n"
@@ -468,7 +419,7 @@ def test_a_readme_counts_each_phase_in_the_preparation_or_in_the_feedback(export
     readme = " ".join((exported("paper") / "README.txt").read_text().split())
     said = r"(\d+) scalar operations to prepare, and (\d+) from the measurement on"
     preparing, feeding = map(int, re.search(said, readme).groups())
-    counts = collections.Counter()
+    counts = {True: 0, False: 0}
     for name, phase in exported_functions.export(PAPER, False).phases.items():
         is_prepared = name.endswith(("expand", "shift", "linearise"))
         counts[is_prepared] += exported_functions.operations(phase.function)

@@ -38,7 +38,6 @@ def of_models():
             (dict(scenario=ekf), "scenario was …; it should be"),
             (dict(scenario=(mhe, other)), "RHE and RHC differ; both should have the same model"),
             (dict(scenario=()), f"scenario was …{NO_SCENARIO}"),
-            (dict(scenario=(mhe, "rhc")), f"scenario was …{NO_SCENARIO}"),
         ]
 
 
@@ -82,6 +81,6 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
         (dict(folder=tmp_path), f"folder was …which contains other files; {may_be}"),
         (dict(folder=thesis), f"folder was …which is a file; {may_be}"),
     ]
-    rows += [(dict(folder=each), "folder was …; it should be a path") for each in (None, 3, (1,))]
+    rows += [(dict(folder=None), "folder was None; it should be a path")]
     assert_refused(lambda folder: rhec.export(rhec.Scenario(), folder), rows)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]

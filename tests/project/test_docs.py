@@ -119,17 +119,6 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     assert abs(there["u"]).max() <= 1 and there["run"].metrics["solver_ok"]
 
 
-def test_lines_of_results_end_at_100_columns_and_break_no_address(monkeypatch):
-    address = f"[it](https://example.org/{'long-' * 25}name)"
-    row = f"| {'word ' * 30}|"
-    text = f"{'word ' * 30}\n{row}\n{address}"
-    monkeypatch.setitem(results.BLOCKS, "bar", lambda: text)
-    lines = results.rewrite("<!-- results bar -->\nold\n<!-- end -->").splitlines()
-    assert address in lines and row in lines
-    assert all(len(line) <= 100 for line in lines if line not in (address, row))
-    assert " ".join(lines[1:-1]) == " ".join([*["word"] * 30, row, address])
-
-
 def test_the_results_in_readme_and_docs_are_those_of_the_tables(tmp_path):
     texts = [(ROOT / page).read_text(encoding="utf-8") for page in results.PAGES]
     (tmp_path / "docs").mkdir()

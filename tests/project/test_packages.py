@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from packaging.requirements import Requirement
 
 from docs.site import packages
-from docs.site.packages import closure, measure, megabytes
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -24,25 +23,20 @@ def required():
     return [each for each in all_ if each.name != "rhec"]
 
 
-def test_a_user_of_notebooks_gets_no_builder_of_sites():
-    lab = {Requirement(text).name for text in PROJECT["project"]["optional-dependencies"]["lab"]}
-    assert lab.isdisjoint({"furo", "latex2mathml", "myst-nb", "sphinx", "typst"})
-    assert {"jupyterlab", "papermill"} <= lab
-
-
 def test_what_an_extra_adds_is_counted_once_and_with_all_that_it_needs(monkeypatch):
-    alone = closure("rhec")
-    assert {"casadi", "numpy", "annotated-types"} <= alone  # the last one is pydantic's
-    assert alone.isdisjoint({"rhec", "matplotlib", "jupyterlab", "pytest"})
-    assert {"matplotlib", "kiwisolver", "jupyterlab", "loky"} <= closure("rhec", "all")
-    assert "jupyterlab" not in closure("rhec", "plots")
+    """Two need each other; the extra of a package brings another one."""
+    needs = dict(
+        rhec=["one", 'two; extra == "plots"', 'three; extra == "logs"'],
+        one=["other"], other=["one"], two=["one", "four"], three=["Four[big]"],
+        four=['five; extra == "big"'],
+    )  # fmt: skip
+    sizes = dict(one=1.0, other=2.0, two=4.0, three=8.0, four=16.0, five=32.0)
+    monkeypatch.setattr(packages.metadata, "requires", needs.get)
+    monkeypatch.setattr(packages, "megabytes", sizes.get)
     monkeypatch.setattr(packages, "EXTRAS", ("", "plots", "logs"))
-    table = measure().set_index("extra")
-    assert table.loc["", "packages"] == len(alone)
-    assert table.loc["plots", "packages"] == len(closure("rhec", "plots") - alone)
-    assert table.loc["logs", "packages"] == len(closure("rhec", "logs") - alone)
-    assert 0 < table.loc["plots", "megabytes"] < table.loc["", "megabytes"]
-    assert megabytes("casadi") > megabytes("tqdm") > 0
+    table = packages.measure()
+    assert table["packages"].tolist() == [2, 2, 3]
+    assert table["megabytes"].tolist() == [3.0, 20.0, 56.0]
 
 
 def test_a_megabyte_is_a_million_bytes(tmp_path, monkeypatch):
@@ -54,13 +48,7 @@ def test_a_megabyte_is_a_million_bytes(tmp_path, monkeypatch):
         for file in tmp_path.iterdir()
     ]
     monkeypatch.setattr(packages.metadata, "files", lambda name: files)
-    assert megabytes("a package that is not installed") == 3.0
-
-
-def test_packages_that_need_each_other_are_counted_once(monkeypatch):
-    needs = dict(one=["other"], other=["one", "third"], third=["other"])
-    monkeypatch.setattr(packages.metadata, "requires", needs.get)
-    assert closure("one") == {"other", "third"}
+    assert packages.megabytes("a package that is not installed") == 3.0
 
 
 def test_engines_are_pinned_beside_what_is_installed():

@@ -3,7 +3,7 @@ it is.
 
 The drive in a mirror is the mirror image of the drive: the path turns to the other side, the soil
 lies on the other side, the other track slips more, and the noise of each sensor points to the other
-side. The same holds for a world that is moved, or turned by a right angle.
+side. The same holds for a world that is turned by a right angle and moved.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from rhec.tracked_robot.path import path_of
 from rhec.tracked_robot.terrain import random_for
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
+BY_M = 512.0, -2048.0
 SHORT = dict(duration_s=30.0, row_length_m=6.0, headland_radius_m=7.0, start_offset_m=0.4)
 SOFT = dict(mu_mean=0.85, mu_deviation=0.06, kappa_mean=0.8, kappa_deviation=0.1)
 WORLD = rhec.Scenario(**SHORT, **SOFT, turns="left", slip_difference=0.02, start_yaw_rad=0.2)
@@ -68,25 +69,19 @@ def in_a_mirror(scenario):
     )
 
 
-def moved(scenario, by=(512.0, -2048.0)):
-    """The world elsewhere."""
-    soil = scenario.terrain
-    return dataclasses.replace(
-        scenario,
-        path=segments(path_of(scenario), lambda x, y, *rest: (x + by[0], y + by[1], *rest)),
-        terrain=rhec.Terrain(soil.mu, soil.kappa, np.add(soil.origin_m, by), soil.cell_m),
-    )
-
-
-def turned(scenario):
-    """The world turned to the left by a right angle: x becomes y, and y becomes -x."""
+def turned_and_moved(scenario):
+    """The world turned to the left by a right angle, and then moved by BY_M."""
     soil = scenario.terrain
     last_m = soil.origin_m[1] + (soil.mu.shape[1] - 1) * soil.cell_m
     fields = (np.rot90(field) for field in (soil.mu, soil.kappa))
+
+    def elsewhere(x, y, theta, c):
+        return BY_M[0] - y, BY_M[1] + x, theta + np.pi / 2, c
+
     return dataclasses.replace(
         scenario,
-        path=segments(path_of(scenario), lambda x, y, theta, c: (-y, x, theta + np.pi / 2, c)),
-        terrain=rhec.Terrain(*fields, (-last_m, soil.origin_m[0]), soil.cell_m),
+        path=segments(path_of(scenario), elsewhere),
+        terrain=rhec.Terrain(*fields, np.add((-last_m, soil.origin_m[0]), BY_M), soil.cell_m),
     )
 
 
@@ -107,23 +102,18 @@ AFTERWARDS = {
         ).split()
         if name in log
     },
-    moved: lambda log: {
-        name: log[name] + (512.0 if name.startswith("x") else -2048.0)
-        for name in "x_m y_m x_meas_m y_meas_m x_hat_m y_hat_m".split()
-    },
-    turned: lambda log: {
-        **{f"x{rest}_m": -log[f"y{rest}_m"] for rest in ("", "_meas", "_hat")},
-        **{f"y{rest}_m": log[f"x{rest}_m"] for rest in ("", "_meas", "_hat")},
+    turned_and_moved: lambda log: {
+        **{f"x{rest}_m": BY_M[0] - log[f"y{rest}_m"] for rest in ("", "_meas", "_hat")},
+        **{f"y{rest}_m": BY_M[1] + log[f"x{rest}_m"] for rest in ("", "_meas", "_hat")},
         **{name: log[name] + np.pi / 2 for name in ("theta_rad", "theta_hat_rad")},
     },
 }
-# What becomes of the noise; of a world that is moved it stays as it is.
+# What becomes of the noise.
 NOISE_AFTERWARDS = {
     in_a_mirror: lambda white, slow, bump, encoder: dict(
         white=white * [[1], [-1]], slow=slow * [[1], [-1]], bump=-bump, encoder=encoder[::-1]
     ),
-    moved: lambda **same: same,
-    turned: lambda white, slow, **same: dict(
+    turned_and_moved: lambda white, slow, **same: dict(
         white=white[::-1] * [[-1], [1]], slow=slow[::-1] * [[-1], [1]], **same
     ),
 }

@@ -22,9 +22,8 @@ NAMED = {"allow_duplicate_io_names": True}
 # In the loop
 
 
-@pytest.mark.parametrize("estimator", ["oracle", "ekf", RIVALS["yaw_drift_ekf"]], ids=str)
-def test_ten_lines_steer_the_robot_to_its_path(estimator):
-    log = rhec.simulate(dataclasses.replace(OWN, estimator=estimator, duration_s=40.0)).log
+def test_ten_lines_steer_the_robot_to_its_path():
+    log = rhec.simulate(dataclasses.replace(OWN, duration_s=40.0)).log
     assert log["ok"].all() and (log["kkt_rhc"] == 0).all()
     assert log["error_true_m"][150:].mean() < paper.TOLERANCE_M
     assert log["omega_cmd_radps"].abs().max() <= 1.5 * paper.OMEGA_MAX_RADPS
@@ -85,7 +84,6 @@ def test_it_is_a_value_of_its_text_and_memory():
     same, other = own_controller(PLAIN), own_controller(PLAIN, gain=2.0)
     for made in (same, pickle.loads(pickle.dumps(same))):
         assert made == OWN.controller and hash(made) == hash(OWN.controller)
-        assert dataclasses.replace(OWN, controller=made) == OWN
     assert other != OWN.controller != rhec.Controller(OWN.controller.step, (1.0,))
     assert OWN != PLAIN and OWN.controller != "rhc"
     assert repr(OWN.controller) == "Controller('steer', memory of 1)"

@@ -7,7 +7,6 @@ import contextlib
 import importlib.util
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -18,13 +17,11 @@ import psutil
 import pytest
 
 import rhec
-from rhec.core._casadi import compiled
 from rhec.simulation.campaigns import store
 
 pytestmark = pytest.mark.nightly
 ROOT = Path(rhec.__file__).parents[1]
 DRIVES = 600
-DRIVES_WORTH_LANES = 40
 # That of the user, whose compilers optimise: with those that `conftest` sets later, so many drives
 # would take minutes.
 ENVIRONMENT = os.environ | dict(PYTHONPATH=f"{ROOT}:{ROOT}/tests")
@@ -115,52 +112,3 @@ def test_ctrl_c_ends_all_processes_and_keeps_what_is_done(engine, tmp_path):
     engines.wait(lambda: not processes_with("RHEC_TESTED", str(tmp_path)), seconds=60)
     kept = [len(rows) for (folder,) in [tmp_path.glob("*/")] for rows in store.load_rows(folder)]
     assert 0 < sum(kept) < 20_000
-
-
-@pytest.mark.skipif(not compiled.compiler(), reason="there is no C compiler")
-def test_a_machine_compiles_each_loop_once(tmp_path):
-    """Its workers wait for the one that compiles."""
-    for name in ("cc", "c++"):
-        log = f'#!/bin/sh\necho "$PWD" >> {tmp_path}/log\nexec "$(command -v {name})" "$@" -O0\n'
-        (tmp_path / name).write_text(log)
-        (tmp_path / name).chmod(0o700)
-    compilers = dict(CC=f"{tmp_path}/cc", CXX=f"{tmp_path}/c++", RHEC_CACHE=f"{tmp_path}/cache")
-    started("dask", DRIVES_WORTH_LANES, **compilers)
-    folders = {*re.findall(r"/building-(\w+)-(\w+)$", (tmp_path / "log").read_text(), re.M)}
-    libraries = [library for library, _ in folders]
-    assert libraries and len(libraries) == len({*libraries})
-
-
-STUDY = """
-import os
-import engines, rhec
-from notebooks.studies.parallel import map_runs
-
-def process_and_error(run):
-    return os.getpid(), run.metrics["mean_error_m"]
-
-if __name__ == "__main__":
-    with engines.dask_cluster() as (address, nannies):
-        os.environ["RHEC_DASK"] = address
-        found = map_runs(process_and_error, engines.scenarios(900))
-        workers = {process.pid for process in engines.children_of(nannies)}
-        assert {process for process, _ in found} <= workers, "it ran elsewhere"
-    del os.environ["RHEC_DASK"]
-    print(repr([error for _, error in found]))
-    print(repr([*rhec.campaign(engines.scenarios(900), workers=1)["mean_error_m"]]))
-"""
-
-
-def test_the_studies_run_on_the_cluster_that_one_variable_names(tmp_path):
-    need("dask")
-    (tmp_path / "study.py").write_text(STUDY)
-    done = subprocess.run(
-        [sys.executable, "study.py"],
-        env=ENVIRONMENT | dict(PYTHONPATH=f"{ENVIRONMENT['PYTHONPATH']}:{tmp_path}"),
-        capture_output=True,
-        text=True,
-        timeout=550,
-        cwd=tmp_path,
-    )
-    in_cluster, here = done.stdout.splitlines()
-    assert in_cluster == here, done.stderr

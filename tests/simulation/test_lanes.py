@@ -8,65 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from condensed_rhc import controller
-from loops import LOOPS, SMALL, lanes_as_in_use, unlike
+from loops import SMALL, lanes_as_in_use, unlike
 from own_steps import untraceable
 
 import rhec
-from notebooks.rivals import by_name
 from rhec.core import runner
 from rhec.core._casadi import compiled
-from rhec.core.lanes import lanes, shared_steps
+from rhec.core.lanes import lanes
 from rhec.simulation import closed_loop
 from rhec.simulation.campaigns import batch
 from rhec.simulation.campaigns import campaign as campaigns
 
 pytestmark = pytest.mark.skipif(lanes.cpp_compiler() is None, reason="there is no C++ compiler")
-
-
-# Parts
-
-
-def rows_of(folder, **fields):
-    """Rows of a run by a library made in this folder."""
-    folder.mkdir()
-    setup = closed_loop.set_up(dataclasses.replace(SMALL, **fields))
-    lanes.compile_block(folder, closed_loop.build_sample(*setup.structure))
-    if not (folder / "library.so").exists():
-        return None
-    noise = closed_loop.noise_and_faults(0, (), 100)
-    (rows,) = runner.run(lanes.InLanes(folder), [setup.memory], [noise], [setup.settings])
-    return rows.copy()
-
-
-@pytest.fixture
-def texts(tmp_path, monkeypatch):
-    """What is compiled, into an empty cache."""
-    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
-    found, compile_text = [], shared_steps._compile
-    monkeypatch.setattr(
-        shared_steps, "_compile", lambda *given: found.append(given[1]) or compile_text(*given)
-    )
-    return found
-
-
-@pytest.mark.nightly
-def test_what_loops_have_in_common_is_compiled_once(tmp_path, texts):
-    for name, made in {"rhe": 5, "ekf": 2, "rhe_no_slip": 2}.items():
-        texts.clear()
-        assert rows_of(tmp_path / name, estimator=by_name(name)) is not None
-        assert len(texts) == made
-        assert sum("/* rhc_linearise:(" in text for text in texts) == (name == "rhe")
-
-
-@pytest.mark.nightly
-def test_a_part_that_cannot_be_compiled_leaves_no_lanes(tmp_path, texts, monkeypatch):
-    compile_text = shared_steps._compile
-
-    def broken(folder, text, command):
-        compile_text(folder, "wrong" if str(command[-1]).startswith("-D") else text, command)
-
-    monkeypatch.setattr(shared_steps, "_compile", broken)
-    assert rows_of(tmp_path / "parts") is None
 
 
 # Campaigns
@@ -86,11 +39,10 @@ def assert_rows_of_simulate(table, scenarios):
 
 def test_a_campaign_in_lanes_has_the_rows_of_simulate(always, monkeypatch):
     """Several structures in any order, groups that fill no register, runs of unlike length."""
-    names = ("rhe", "ekf", "own")
-    loops = [dataclasses.replace(SMALL, **LOOPS[name].fields) for name in names]
+    loops = [dataclasses.replace(SMALL, estimator=name) for name in ("rhe", "ekf")]
     scenarios = [
         dataclasses.replace(each, duration_s=each.duration_s + 4 * (each.seed % 2))
-        for each in (each for three in zip(*map(unlike, loops)) for each in three)
+        for each in (each for both in zip(*map(unlike, loops)) for each in both)
     ]
     monkeypatch.setattr(campaigns, "simulate", lambda scenario: 1 / 0)
     table = rhec.campaign(scenarios, workers=1)

@@ -9,6 +9,7 @@ import rhec
 from rhec.simulation.columns import ESTIMATE
 from rhec.simulation.offline import columns, run_estimator, sigma_of_traction
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
 CASES = [
     dict(estimator="ekf"),
     dict(estimator="oracle"),

@@ -48,22 +48,15 @@ SCENARIO = "; it should be a rhec.Scenario"
 FINITE = "; it should be a sequence of finite numbers"
 TABLES = dict(a=largest_error_m)
 SIMULATIONS = [
-    ((3,), f"scenario was 3{SCENARIO}"),
     (("rhe",), f"scenario was 'rhe'{SCENARIO}"),
     (([SHORT, 3],), f"scenario[1] was 3{SCENARIO}"),
 ]
 CAMPAIGNS = [
     (dict(scenarios=SHORT), "scenarios was rhec.Scenario(…; it should be a list of rhec.Scenario"),
-    (dict(scenarios=None), "scenarios was None; it should be a list of rhec.Scenario"),
     (dict(scenarios="rhe"), "scenarios was 'rhe'; it should be a list of rhec.Scenario"),
-    (dict(scenarios=[SHORT, 3]), f"scenarios[1] was 3{SCENARIO}"),
     (dict(workers=0), "workers was 0; "),
-    (dict(workers=-1), "workers was -1; "),
-    (dict(workers=1.5), "workers was 1.5; "),
     (dict(workers="2"), "workers was '2'; "),
     (dict(folder=__file__), f"folder was {__file__!r}"),
-    (dict(folder=3), "folder was 3; "),
-    (dict(worker=2), "campaign has no parameter 'worker'; did you mean 'workers'"),
     (dict(readings=largest_error_m), "readings was <function largest_error_m"),
     (dict(readings=dict(a=1)), "readings was {'a': 1}; it should be a dict of names to"),
     (dict(readings=dict(seed=largest_error_m)), "a name in readings was 'seed'; the table has"),
@@ -72,40 +65,26 @@ CAMPAIGNS = [
 ]
 FAULTS = [
     (dict(kind="broken"), "kind was 'broken'; "),
-    (dict(kind="missing", channel="lidar"), "channel was 'lidar'; "),
     (dict(kind="missing", channel="left"), "channel was 'left'; for the kind 'missing' it should"),
     (dict(kind="dead"), "channel was 'gnss'; for the kind 'dead'"),
     (dict(kind="outliers", channel="all", size_m=1.0), "channel was 'all'; "),
     (dict(kind="jump"), "size_m was None; for the kind 'jump' it should be given"),
-    (dict(kind="rate"), "rate_hz was None; "),
     (dict(kind="latency", delay_s=1.1), "delay_s was 1.1; "),
     (dict(kind="stuck", size_m=1.0), "size_m was 1.0; for the kind 'stuck' it should be None"),
     (dict(kind="rate", rate_hz=0), "rate_hz was 0; "),
-    (dict(kind="missing", start_s=np.nan), "start_s was nan; "),
     (dict(kind="missing", duration_s=-1), "duration_s was -1; "),
-    (dict(kind="missing", begin_s=1), "Fault has no parameter 'begin_s'"),
 ]
 CONTROLLERS = [
     (("steer",), "step was 'steer'; it should be a CasADi Function"),
     ((step_in_python(),), "step was …; it should be made of what CasADi can store"),
     ((step_of({}, COMMAND), 1.0), f"memory was 1.0{FINITE}"),
     ((step_of({}, COMMAND), (np.nan,)), f"memory was (nan,){FINITE}"),
-    ((step_of({}, COMMAND), ("a",)), f"memory was ('a',){FINITE}"),
     ((step_of({}, {}),), "step has no result 'command'; it should have one"),
-    ((step_of(dict(v=(1, 1)), COMMAND),), "step has the input 'v'; it should be one of memory, "),
-    (
-        (step_of({}, COMMAND | dict(v=(1, 1))),),
-        "step has the result 'v'; it should be one of memory, ",
-    ),
     ((step_of({}, dict(command=(2, 1))),), "step has the result 'command' of shape (2, 1); "),
     ((step_of({}, COMMAND), (0.0, 0.0)), "step has no input 'memory'; for a first memory of 2 "),
     (
         (step_of(dict(memory=(2, 1)), COMMAND), (0.0, 0.0)),
         "step has no result 'memory'; for a first memory of 2 numbers it should have one",
-    ),
-    (
-        (step_of(dict(memory=(3, 1)), COMMAND | dict(memory=(3, 1))), (0.0, 0.0)),
-        "step has the input 'memory' of shape (3, 1); it should have (2, 1)",
     ),
     (
         (step_of(dict(memory=(2, 1)), COMMAND | dict(memory=(1, 2))), (0.0, 0.0)),
@@ -123,8 +102,6 @@ ESTIMATORS = [
 ]
 OPTIONS = [
     (dict(memory=(1.0,)), "memory had 1 numbers; behind the first guess the memory of step has"),
-    (dict(memory=("a",)), f"memory was ('a',){FINITE}"),
-    (dict(memory=(np.nan,)), f"memory was (nan,){FINITE}"),
     (dict(sensors=("lidar",)), "sensors was ('lidar',); it should name some of ('gyro', "),
     (dict(sensors=("gyro", "gyro")), "sensors was ('gyro', 'gyro'); it should name some of"),
     (dict(sensors=("gyro",)), "step has the input 'z_N' of shape (4, 1); it should have (5, 1)"),
@@ -142,13 +119,9 @@ WITH_W = [
 SHAPES = [
     ("s_0", (3, 1), (6, 1), {}),
     ("x_ref", (3, 16), (3, 11), dict(prediction_horizon=10)),
-    ("u_ref", (15, 1), (1, 15), {}),
-    ("Q", (3, 3), (3, 1), {}),
     ("covariance", (6, 6), (4, 4), {}),
-    ("covariance", (1, 1), (0, 0), dict(estimator="oracle")),
     ("covariance", (6, 6), (2, 2), dict(estimator=step_of(IN, OUT | dict(covariance=(2, 2))))),
     ("segments", (5, 4), (5, 1), dict(path=LINE)),
-    ("disturbance", (2, 1), (1, 1), {}),
 ]
 INPUTS = [
     (({name: shape}, fields), f"step has the input {name!r} of shape {shape}; it should have {fit}")

@@ -13,7 +13,7 @@ from rhec.simulation import closed_loop
 from rhec.simulation.offline import run_estimator
 from rhec.tracked_robot.paper_rhe import settings_of
 from rhec.tracked_robot.plant import Normal, draw_noise
-from rhec.tracked_robot.sensors import SENSORS, are_accepted
+from rhec.tracked_robot.sensors import SENSORS
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 BOTH = ("gyro", "heading")
@@ -24,11 +24,6 @@ SHORT = rhec.Scenario(
 
 def changed(**fields):
     return rhec.simulate(dataclasses.replace(SHORT, **fields))
-
-
-@pytest.fixture(scope="module")
-def measured(virtual_machine):
-    return changed(duration_s=20.0)
 
 
 def test_they_measure_the_yaw_up_to_full_turns_and_its_rate_over_ground():
@@ -49,19 +44,11 @@ def test_they_measure_the_yaw_up_to_full_turns_and_its_rate_over_ground():
 
 
 def test_other_random_streams_stay_as_they_are():
-    """The robot of an oracle drives the same path, and the noise of a seed begins the same."""
-    plain = closed_loop.noise_and_faults(5, (), 50)
-    gyro_noise, heading_noise = (Normal(SENSORS[name].stream) for name in BOTH)
-    gyro, both = (gyro_noise,), (gyro_noise, heading_noise)
-    for others in ((), gyro, both):
-        longer = closed_loop.noise_and_faults(5, (), 60, (draw_noise, *others))
-        np.testing.assert_array_equal(longer[:50, : plain.shape[1]], plain)
-    # A gyro's noise is the same with and without a heading.
-    alone, first = (
-        closed_loop.noise_and_faults(5, (), 50, (draw_noise, *others))[:, plain.shape[1]]
-        for others in (gyro, both)
-    )
-    np.testing.assert_array_equal(alone, first)
+    """The noise of a seed begins the same, however many samples and sensors there are."""
+    gyro, heading = (Normal(SENSORS[name].stream) for name in BOTH)
+    plain = closed_loop.noise_and_faults(5, (), 50, (draw_noise, gyro))
+    both = closed_loop.noise_and_faults(5, (), 60, (draw_noise, gyro, heading))
+    np.testing.assert_array_equal(both[:50, : plain.shape[1]], plain)
 
 
 def test_an_oracle_drives_a_robot_with_sensors_as_one_without():
@@ -79,18 +66,16 @@ def test_an_oracle_drives_a_robot_with_sensors_as_one_without():
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_all_that_belongs_to_a_sensor_is_there(name):
-    """Parameters and sliders of its noise, an argument of the live RHE, and a channel of faults."""
+    """Parameters of its noise, a slider, and an argument of the live RHE."""
     sensor = SENSORS[name]
     parameters = {setting.parameter for setting in sensor.settings.values()}
     assert {sensor.sigma, *parameters} <= {field.name for field in dataclasses.fields(SHORT)}
-    assert parameters <= controls.CONTROLS.keys()
     assert (name,) in dict(controls.CONTROLS["sensors"].options).values()
     noise = (0.5, 0.25)[: len(sensor.noise)]
     fields = {sensor.sigma: noise if len(noise) > 1 else noise[0]}
     live = rhec.RHE(sensors=(name,), **fields)
     assert live.settings["V"][4] == 0.25
     assert settings_of(rhec.Scenario(sensors=(name,), **fields))["V"][4] == 0.25
-    assert rhec.Fault(kind="dead", channel=name).channel == name
     # 1, 2 and 4 are the streams of plant and faults.
     assert sensor.stream not in (1, 2, 4)
     for other in {*SENSORS} - {name}:
@@ -98,7 +83,7 @@ def test_all_that_belongs_to_a_sensor_is_there(name):
             assert getattr(SENSORS[other], what) != getattr(sensor, what)
     # Whatever the order in which they are named, they come in that of their measurements.
     backwards = dataclasses.replace(SHORT, sensors=BOTH[::-1])
-    assert backwards == SHORT and backwards.sensors == BOTH
+    assert backwards == SHORT
     assert rhec.RHE(sensors=BOTH[::-1]).model.outputs[4:] == ("gyro_radps", "heading_rad")
 
 
@@ -115,21 +100,6 @@ def test_sensors_that_never_deliver_leave_the_estimate_as_it_is(speed_model):
         np.testing.assert_allclose(with_both.log[name], without.log[name], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "kind, value", [("missing", np.nan), ("infinite", np.inf), ("dead", 0.0), ("stuck", None)]
-)
-def test_a_fault_touches_the_gyro_alone(kind, value, measured):
-    fault = rhec.Fault(kind=kind, channel="gyro", start_s=8.0, duration_s=8.0)
-    faulty = changed(duration_s=20.0, faults=(fault,))
-    np.testing.assert_array_equal(faulty.log[:40], measured.log[:40])
-    got = faulty.log["gyro_meas_radps"][40:80]
-    expected = measured.log["gyro_meas_radps"][39] if value is None else value
-    np.testing.assert_allclose(got, np.full(40, expected))
-    # The next position comes from the same robot.
-    np.testing.assert_array_equal(faulty.log["x_meas_m"][:41], measured.log["x_meas_m"][:41])
-    assert faulty.metrics["solver_ok"]
-
-
 def test_yaw_and_drive_are_better_with_a_gyro_still_better_with_a_heading_and_best_with_both():
     """Means of three training seeds, in the order of docs/world.md."""
     errors = []
@@ -138,25 +108,3 @@ def test_yaw_and_drive_are_better_with_a_gyro_still_better_with_a_heading_and_be
         errors.append([(run["rms_yaw_rad"], run["mean_error_true_m"]) for run in runs])
     none, gyro, heading, both = np.mean(errors, axis=1)
     assert (gyro < 0.75 * none).all() and (heading < gyro).all() and (both < heading).all()
-
-
-@pytest.mark.parametrize("missing", [np.nan, np.inf])
-def test_a_first_heading_that_is_missing_is_none(missing):
-    """The estimate then begins as that of a robot without one."""
-    plain, with_heading = (rhec.RHE(sensors=sensors) for sensors in ((), ("heading",)))
-    expected = plain.feedback((1.0, 2.0, 0.5, 0.1))
-    found = with_heading.feedback((1.0, 2.0, 0.5, 0.1, missing))
-    np.testing.assert_allclose([*found.pose, *found.p], [*expected.pose, *expected.p], atol=1e-9)
-
-
-def test_of_a_recorded_gyro_a_number_is_used_that_is_new_and_not_absurd():
-    """New is what differs from the last number, however long ago that came."""
-    rng = np.random.default_rng(0)
-    measured = rng.choice([0.1, 0.2, -0.2, 50.0, np.nan], 300)
-    expected = []
-    last = None
-    for value in measured:
-        expected.append(bool(abs(value) < 1 and value != last))
-        last = last if np.isnan(value) else value
-    omega = pd.Series(rng.uniform(-0.5, 0.5, 300))
-    np.testing.assert_array_equal(are_accepted(pd.Series(measured), omega), expected)

@@ -9,13 +9,10 @@ from rhec.simulation import closed_loop
 pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 
-@pytest.mark.parametrize("name", rhec.WORLDS)
-def test_a_world_is_what_differs_from_the_default(name):
-    world, default = rhec.WORLDS[name], rhec.Scenario()
-    scenario = rhec.Scenario(**world, seed=3)
-    assert {field: getattr(scenario, field) for field in world} == world
-    assert all(value != getattr(default, field) for field, value in world.items())
-    assert bool(world) == (name != "default")
+def test_a_world_is_what_differs_from_the_default():
+    for name, world in rhec.WORLDS.items():
+        scenario, default = rhec.Scenario(**world), rhec.Scenario()
+        assert all(getattr(scenario, of) != getattr(default, of) for of in world), name
 
 
 def test_wet_patches_lie_where_the_path_turns_and_on_a_row():

@@ -149,8 +149,8 @@ def _schema():
     import pyarrow as pa
 
     types = {bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
-    metrics = {name: types[kind] for name, kind in TYPES.items()}
-    return pa.schema(dict(key=pa.string()) | metrics)
+    columns = dict(key=pa.string()) | {name: types[kind] for name, kind in TYPES.items()}
+    return pa.schema([pa.field(name, of, nullable=False) for name, of in columns.items()])
 
 
 def save_rows(folder, rows):
@@ -197,22 +197,8 @@ def _read_table(file, wanted):
         if missing := {*names} - {*parquet.schema_arrow.names}:
             raise KeyError(f"no column {min(missing)}")
         if wanted is None:
-            return _as_written(parquet.read(names))
+            return parquet.read(names).cast(_schema())
         chosen = [key in wanted for key in parquet.read(["key"])["key"].to_pylist()]
         if not any(chosen):
             return _schema().empty_table()
-        return _as_written(parquet.read(names)).filter(chosen)
-
-
-def _as_written(table):
-    """The table with the types of `save_rows`, and NaN where pandas has made it null."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    table = table.cast(_schema())
-    for place, field in enumerate(table.schema):
-        if table.column(place).null_count:
-            if not pa.types.is_floating(field.type):
-                raise ValueError(f"{field.name} has no value in some rows")
-            table = table.set_column(place, field, pc.fill_null(table.column(place), np.nan))
-    return table
+        return parquet.read(names).cast(_schema()).filter(chosen)
