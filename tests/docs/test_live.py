@@ -19,6 +19,7 @@ from bs4 import BeautifulSoup
 
 import rhec
 from docs.live import functions, page, wasm, window
+from docs.live.plants import plants_of
 from docs.site import report
 from rhec import paper
 from rhec.core import blocks
@@ -86,27 +87,6 @@ def test_soil_of_every_start_and_path_is_a_part_of_the_data(kind, turns, seed, o
     np.testing.assert_allclose(fields[:, :rows, :columns], expected, atol=8e-6)  # 16 bits
 
 
-@pytest.fixture(scope="module")
-def errors():
-    return page.functions_of(rhec.Scenario())["errors"]
-
-
-@pytest.mark.nightly(keep=4)
-@pytest.mark.parametrize("turns", page.TURNS.values())
-@pytest.mark.parametrize("own", [START, dict(faults=GAP), dict(start_offset_m=2.9)])
-def test_errors_are_those_of_the_run(turns, own, errors):
-    run = rhec.simulate(rhec.Scenario(duration_s=240.0, turns=turns, **own))
-    rows = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
-    field = page.fields_of_turns()[turns]
-    path = np.reshape(field["segments"], (-1, 5)).T, field["length_m"]
-    found = dict(zip(functions.ERRORS, errors.map(len(rows))(rows.T, *path).full()))
-    for name in ("error_m", "error_true_m", "on_straight"):
-        np.testing.assert_allclose(found[name], run.columns[name], atol=1e-12, err_msg=name)
-    assert {*found["on_straight"]} == {0, 1}
-    np.testing.assert_allclose(np.abs(found["left_m"]), found["error_true_m"], atol=1e-12)
-    assert np.sign(found["left_m"][0]) == np.sign(run.scenario.start_offset_m)
-
-
 def compiled_text(text, folder):
     """The library of a C text, and a function from an array's name and length to its numbers."""
     (folder / "code.c").write_text(text, encoding="utf-8")
@@ -121,29 +101,32 @@ def compiled_text(text, folder):
 
 
 def test_the_c_of_a_run_computes_what_simulate_does(tmp_path):
-    scenario = rhec.Scenario(duration_s=20.0, turns="left")
+    """Its errors, too, where no position is measured, and in turns."""
+    scenario = rhec.Scenario(duration_s=240.0, turns="left", faults=GAP, start_offset_m=-0.8)
     setup = closed_loop.set_up(scenario)
     run = rhec.simulate(scenario)
     n = len(run.log)
-    shape = common_shape(setup.terrain)
-    built = functions.build_functions(scenario, shape)
+    assert n == functions.MAX_SAMPLES
+    built = functions.build_functions(scenario, common_shape(setup.terrain))
     text = functions.c_text(built)
     room = {name: int(n) for name, n in re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M)}
-    assert room["memory"] == (functions.MAX_SAMPLES + 1) * len(setup.memory)  # the first one, too
-    assert room["length_m"] == 1 and room["row"] >= functions.MAX_SAMPLES * len(COLUMNS)
+    assert room["memory"] == (n + 1) * len(setup.memory)  # the first one, too
+    assert room["length_m"] == 1 and room["row"] == (n + 1) * len(COLUMNS)
     library, array = compiled_text(text, tmp_path)
-    noise = plant.draw_noise(scenario.seed, n)
-    given = setup.settings | dict(length_m=setup.path.length_m, noise=noise.T)
-    given |= dict(memory=setup.memory)
+    given = setup.settings | dict(length_m=setup.path.length_m, memory=setup.memory)
+    stream = closed_loop.noise_and_faults(scenario.seed, scenario.faults, n, setup.draws)
+    given["noise"] = stream.T
     for name in {name for function in built.values() for name in function.name_in()} - {"row"}:
-        value = np.ravel(given[name], order="F")
-        array(name, len(value))[:] = value
+        array(name, np.size(given[name]))[:] = np.ravel(given[name], order="F")
     assert library.run(n) == 0
     rows = array("row", len(COLUMNS) * n).reshape(n, -1)
     expected = np.column_stack([run.columns[name] for name in COLUMNS]).astype(float)
     np.testing.assert_allclose(rows, expected, atol=1e-9)
-    errors = dict(zip(functions.ERRORS, array("errors", 4 * n).reshape(n, 4).T))
-    np.testing.assert_allclose(errors["error_true_m"], run.columns["error_true_m"], atol=1e-9)
+    found = dict(zip(functions.ERRORS, array("errors", 4 * n).reshape(n, 4).T))
+    for name in ("error_m", "error_true_m", "on_straight"):
+        np.testing.assert_allclose(found[name], run.columns[name], atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(np.abs(found["left_m"]), found["error_true_m"], atol=1e-12)
+    assert found["left_m"][0] == -0.8
 
 
 @pytest.mark.parametrize("turns", page.TURNS.values())
@@ -312,11 +295,6 @@ def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
     text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
     exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
     assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
-    # It is found again, in whichever order the disk lists the headers.
-    made, listed = wasm.module_of(text), Path.iterdir
-    monkeypatch.setattr(Path, "iterdir", lambda folder: reversed([*listed(folder)]))
-    monkeypatch.setattr(compiled, "run_compiler", None)
-    assert wasm.module_of(text) == made
 
 
 @pytest.fixture(scope="module")
@@ -401,3 +379,17 @@ def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):
     x, y, theta = pose.full().ravel()
     assert theta == pytest.approx(0.25 * 20)
     assert (x, y) == pytest.approx((2 * np.sin(theta), 2 - 2 * np.cos(theta)), abs=1e-6)
+
+
+def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves():
+    path = closed_loop.set_up(rhec.Scenario()).path
+    plants = plants_of(path)
+    for place, away in ((plants[:, :2], 0.0), (plants[:, 2:], 0.1)):
+        distance, _ = path.project(place)
+        free = paper.ROBOT_WIDTH_M / 2 + paper.TOLERANCE_M
+        np.testing.assert_allclose(distance, free + away, atol=1e-9)
+    # Beside four rows of 30 m, of which the first and the last go on by an eighth of the distance
+    # of two rows, one plant on either side every 0.15 m; none on the way back along the headland.
+    assert len(plants) == 2 * round((4 * 30.0 + 2 * 7.8 / 4) / 0.15)
+    assert len(np.unique(plants.round(6), axis=0)) == len(plants)
+    assert plants[:, 0].min() > -7.8 / 4 - 0.15
