@@ -210,7 +210,6 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
     scenarios, marks = live.scenarios(), live.marks()
     assert scenarios[0].turns == turns
     assert (scenarios[0].process_noise or tuning.DEFAULT_RULE) == rule or share
-    assert_sliders_show(page, scenarios[0])
     assert_soil_shown(marks["map"], scenarios[0])
     for i, row in enumerate(page.locator("#metrics tr:has(td)").all()):
         loop = f"page.loops[{i}]"
@@ -234,6 +233,9 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
             truth = np.column_stack([c["time"], c[picture]])
             np.testing.assert_array_equal(marks[picture].labelled(f"truth of {name}"), truth)
         np.testing.assert_array_equal(marks["map"].labelled(name), c["xy"])
+        page.check(f"[name=run-{scene}][value='{i}']")
+        assert_sliders_show(page, scenarios[i])
+        live.settled()
     assert i + 1 == len(scenarios)
 
 
