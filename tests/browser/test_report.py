@@ -105,28 +105,17 @@ def test_a_page_shows_all_it_has(offline, name):
     page.evaluate(
         "Promise.all([...document.images].map(image => image.decode()))"
     )  # throws for a broken one
-    assert all(
-        page.eval_on_selector_all(
-            "article img",
-            "images => images.map(image => image.getBoundingClientRect().width > 100)",
+    for seen, least_px in (("article img", 100), ("math", 1)):
+        widths = page.eval_on_selector_all(
+            seen, "all => all.map(each => each.offsetWidth ?? each.getBoundingClientRect().width)"
         )
-    )
-    formulas = page.eval_on_selector_all(
-        "math", "formulas => formulas.map(math => math.getBoundingClientRect().width)"
-    )
-    assert all(width > 1 for width in formulas)
-    assert page.evaluate(
-        "performance.getEntriesByType('resource').every(each => each.name.startsWith('file:'))"
-    )
+        assert all(width > least_px for width in widths)
     for width, height in [(1366, 768), (2560, 1440), (390, 844)]:
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("document.documentElement.scrollWidth") <= width, (
             f"wider than {width} pixels"
         )
     assert page.locator("h1").first.bounding_box()["y"] < 200  # on a phone, too
-    # There, text beside a picture would have room for a few letters alone.
-    floats = "images => images.map(image => getComputedStyle(image).float)"
-    assert {*page.eval_on_selector_all("article img", floats)} <= {"none"}
 
 
 def test_the_search_finds_a_claim_and_a_function(offline):
