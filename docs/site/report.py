@@ -379,7 +379,7 @@ def _run_of(place, notebook):
     return {
         "notebook": f"[{place.stem}]({place})",
         "started (UTC)": record.get("start_time", "")[:19].replace("T", " "),
-        "duration [s]": f"{record.get('duration') or 0:.3g}",
+        "duration [s]": f"{record.get('duration', 0):.3g}",
         "parameters": changed or "as in the notebook",
     }
 

@@ -1,13 +1,13 @@
-"""The explorer as its user has it: JupyterLab in a browser, sliders moved by mouse and keyboard,
-and what the page then shows. `test_live.py` tests the values that a pointer shows.
+"""The explorer as its user has it: JupyterLab in a browser, a slider moved by the mouse, and what
+the page then shows; and its screen without a kernel. The live page draws with the same scripts.
 """
 
 import base64
 
 import numpy as np
 import pytest
+from drawn import NOTE, marks_on
 
-from benchmark import latency
 from rhec.explorer.panels import Mark, Panel, Picture, packed
 from rhec.explorer.screen import CSS, Screen
 
@@ -37,39 +37,6 @@ QUIET = """async () => {
 }"""
 
 
-# The screen without a kernel: what its pictures draw is noted, by their titles.
-RENDER = """([state, numbers]) => {
-    window.drawn = {}
-    const reset = CanvasRenderingContext2D.prototype.reset
-    CanvasRenderingContext2D.prototype.reset = function () {
-        drawn[this.canvas.ariaLabel] = []
-        reset.call(this)
-    }
-    const note = (kind, what) => {
-        const draw = Plot.prototype[kind]
-        Plot.prototype[kind] = function (...given) {
-            drawn[this.c.canvas.ariaLabel].push({ kind, ...what(...given) })
-            draw.apply(this, given)
-        }
-    }
-    const list = (length, of) => Array.from({ length }, (_, k) => of(k))
-    for (const kind of ["line", "area", "dots"])
-        note(kind, (n, x, y, colour, { label }) => ({ x: list(n, x), y: list(n, y), label }))
-    note("soil", ([wide, high], [x, y], cell_m, traction) => ({
-        x: list(wide, i => x + i * cell_m),
-        y: list(high, j => y + j * cell_m),
-        traction: list(wide * high, at => traction(Math.floor(at / high), at % high)),
-    }))
-    const bytes = Uint8Array.from(atob(numbers), letter => letter.charCodeAt(0))
-    state.numbers = new DataView(bytes.buffer, 3) // a message begins anywhere
-    const listeners = new Set()
-    window.told = () => listeners.forEach(each => each())
-    const model = { get: name => state[name], on: (_, act) => listeners.add(act), off() {} }
-    window.state = state
-    screen_of({ model, el: document.querySelector(".rhec") })
-}"""
-
-
 class Explorer:
     """What a user does with the page, and sees on it."""
 
@@ -78,31 +45,22 @@ class Explorer:
         page.evaluate("document.querySelector('.rhec').scrollIntoView()")
         page.evaluate(WATCH)
 
-    @property
-    def picture(self):
-        return self.page.evaluate(
-            "[...document.querySelectorAll('.rhec-canvas')].map(canvas => canvas.toDataURL())"
-        )
+    def shown(self):
+        """Pictures, metrics and the line of Python."""
+        pictures = "[...document.querySelectorAll('.rhec-canvas')].map(each => each.toDataURL())"
+        metrics = self.page.locator(".rhec-table tr").all_inner_texts()[1:]
+        return self.page.evaluate(pictures), metrics, self.page.inner_text(".rhec-line")
 
-    @property
-    def metrics(self):
-        return self.page.locator(".rhec-table tr").all_inner_texts()[1:]
-
-    @property
-    def line(self):
-        return self.page.inner_text(".rhec-line")
-
-    def tab(self, name):
-        self.page.locator(".rhec .lm-TabBar-tab", has_text=name).click()
-
-    def press(self, name):
-        self.page.locator(".rhec").get_by_role("button", name=name, exact=True).click()
-
-    def slider(self, label):
-        """The box of the slider with this label, which is in the open tab."""
-        return self.page.locator(
-            ".rhec .widget-slider:visible", has=self.page.get_by_text(label, exact=True)
-        )
+    def drag(self, slider):
+        box = slider.locator(".noUi-target").bounding_box()
+        mouse, y = self.page.mouse, box["y"] + box["height"] / 2
+        mouse.move(box["x"] + 0.3 * box["width"], y)
+        mouse.down()
+        for step in range(20):
+            mouse.move(box["x"] + (0.3 + 0.02 * step) * box["width"], y)
+            self.page.wait_for_timeout(16)
+        mouse.up()
+        self.settled()
 
     def settled(self):
         """Wait until a picture has come and no more do."""
@@ -112,132 +70,40 @@ class Explorer:
 
 
 @pytest.fixture(scope="module")
-def opened(lab, open_page):
+def explorer(lab, open_page):
     with open_page() as page:
         lab.open(page, "00_start.ipynb")
         lab.run(page)
         page.wait_for_selector(".rhec-canvas")
         yield Explorer(page)
+        for output in lab.outputs(page):  # the first compile says so on stderr
+            assert output["output_type"] != "error"
+            assert "Error" not in "".join(output.get("text", ""))
         lab.close(page)
 
 
-@pytest.fixture
-def explorer(opened, lab):
-    """The explorer as it begins."""
-    opened.press("reset")
-    opened.page.evaluate(QUIET)
-    opened.page.evaluate("painted = 0")
-    yield opened
-    for output in lab.outputs(opened.page):  # the first compile says so on stderr
-        assert output["output_type"] != "error"
-        assert "Error" not in "".join(output.get("text", ""))
-
-
-def test_a_moved_slider_drives_the_field_again_and_a_click_copies_the_setting(explorer):
-    page = explorer.page
-    picture, metrics, line = explorer.picture, explorer.metrics, explorer.line
-    assert len(metrics) == 2 and len(picture) == len({*picture}) == 6
-    explorer.tab("Controller")
-    explorer.slider("R").locator(".noUi-handle").focus()
-    for _ in range(5):
-        page.keyboard.press("ArrowRight")
-    explorer.settled()
-    assert explorer.picture != picture
-    assert all(now != before for now, before in zip(explorer.metrics, metrics))
-    assert "r=" in explorer.line and "r=" not in line
+def test_a_dragged_slider_drives_the_field_again_and_a_click_copies_the_setting(explorer):
+    page, before = explorer.page, explorer.shown()
+    assert len(before[1]) == 2 and len({*before[0]}) == 6
+    page.locator(".rhec .lm-TabBar-tab", has_text="Drive").click()
+    label = page.get_by_text("speed [m/s]", exact=True)
+    slider = page.locator(".rhec .widget-slider:visible", has=label)
+    explorer.drag(slider)
+    pictures, metrics, line = explorer.shown()
+    speed_mps = float(slider.locator(".widget-readout").inner_text())
+    assert f"speed_mps={speed_mps!r}" in line and "speed_mps" not in before[2]
+    assert pictures != before[0]
+    assert all(now != then for now, then in zip(metrics, before[1]))
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.locator(".rhec-line").click()
-    assert page.evaluate("navigator.clipboard.readText()") == explorer.line
-    explorer.press("reset")
+    assert page.evaluate("navigator.clipboard.readText()") == line
+    page.locator(".rhec").get_by_role("button", name="reset", exact=True).click()
     explorer.settled()
-    assert (explorer.picture, explorer.metrics, explorer.line) == (picture, metrics, line)
-
-
-def test_the_screen_draws_the_marks_of_a_picture_and_a_legend_hides_them(page):
-    x, y = np.arange(5.0), np.linspace(0.25, 1, 5)
-    traction = np.linspace(0.5, 1, 12).reshape(4, 3)
-    soil = Mark("soil", 2 * np.arange(4.0), 2 * np.arange(3.0), traction=traction)
-    dots = Mark("dots", x, y, colour="red", label="seen", note="by GNSS")
-    ring = Mark("dots", x, y, colour="blue", label="worst", note=None, full=False)
-    line = Mark("line", x, 2 * y, label="RHE", note="")
-    dashed = Mark("line", x, np.where(y > 0.5, y, np.nan), dash=(2, 2), label="path")
-    area = Mark("area", x, y, label="band")
-    panels = dict(
-        a=Panel("field", (0, 6), (0, 4), [soil, dots, ring], "equal"),
-        b=Panel("error", (0, 5), (0.1, 2), [area, dashed, line], "log", "t [s]"),
-    )
-    picture = Picture(("a b",), panels)
-    content, numbers = packed(picture)
-    state = dict(status="ready", status_kind="good", line="rhec", picture=content)
-    state |= dict(table="<table><tr><td>1</td></tr></table>")
-    page.set_content("<body><div class=rhec style='width: 900px'></div></body>")
-    page.add_style_tag(content=CSS)
-    script = Screen._esm.replace("export default { render };", "window.screen_of = render;")
-    page.add_script_tag(content=str(script))
-    page.evaluate(RENDER, [state, base64.b64encode(b"---" + numbers).decode()])
-
-    def drawn():
-        return {
-            title: [(mark["kind"], mark.get("label")) for mark in marks]
-            for title, marks in page.evaluate("drawn").items()
-        }
-
-    for panel in panels.values():
-        found = page.evaluate("drawn")[panel.title]
-        for mark, seen in zip(panel.marks, found, strict=True):
-            assert seen["kind"] == mark.kind
-            for name in ("x", "y") if mark.traction is None else ("x", "y", "traction"):
-                wanted = np.ravel(getattr(mark, name)).astype(np.float32)
-                np.testing.assert_array_equal(np.array(seen[name], dtype=float), wanted)
-    # A mark whose values are not told has no label for the pointer.
-    assert [label for _, label in drawn()["field"]] == [None, "seen by GNSS", ""]
-    assert [label for _, label in drawn()["error"]] == ["", "", "RHE"]
-    entries = page.locator(".rhec-legend button")
-    assert entries.all_inner_texts() == ["○ worst", "● seen", "━ RHE", "╍ path", "━ band"]
-    colours = "all => all.map(sample => getComputedStyle(sample).color)"
-    colours = page.eval_on_selector_all(".rhec-legend span", colours)
-    assert colours[:2] == ["rgb(0, 0, 255)", "rgb(255, 0, 0)"] and len({*colours}) == 3
-    every = drawn()
-    entries.nth(2).click()
-    assert drawn() == every | dict(error=every["error"][:2])
-    assert entries.nth(2).get_attribute("aria-pressed") == "false"
-    entries.nth(2).click()
-    assert drawn() == every and entries.nth(2).get_attribute("aria-pressed") == "true"
-    words = ".rhec-status, .rhec-line, .rhec-metrics"
-    assert page.locator(words).all_inner_texts() == ["ready", "rhec", "1"]
-    page.locator("canvas").nth(1).hover()
-    page.evaluate("state.picture.panels.b.marks[2].note = 'of two', told()")
-    assert "RHE of two" in page.inner_text("canvas[aria-label=error] ~ .view-words")
-    # What is new is shown, and what is not stays as it is.
-    page.evaluate("canvas = document.querySelector('canvas')")
-    page.evaluate("state.status = 'busy', state.line = 'new', state.table = 'no', told()")
-    assert page.locator(words).all_inner_texts() == ["busy", "new", "no"]
-    assert page.evaluate("canvas.isConnected")
-    page.evaluate(
-        "state.picture.layout = ['a', 'b'], state.picture.panels.a.title = 'soil', told()"
-    )
-    assert page.locator("figcaption").all_inner_texts() == ["soil", "error"]
-    places = [canvas.bounding_box() for canvas in page.locator("canvas").all()]
-    assert places[0]["x"] == places[1]["x"] and places[0]["y"] < places[1]["y"]
-
-
-def test_a_dragged_slider_ends_at_its_last_value(explorer):
-    explorer.tab("Drive")
-    box = explorer.slider("speed [m/s]").locator(".noUi-target").bounding_box()
-    mouse, y = explorer.page.mouse, box["y"] + box["height"] / 2
-    mouse.move(box["x"] + 0.3 * box["width"], y)
-    mouse.down()
-    for step in range(20):
-        mouse.move(box["x"] + (0.3 + 0.02 * step) * box["width"], y)
-        explorer.page.wait_for_timeout(16)
-    mouse.up()
-    explorer.settled()
-    readout = float(explorer.slider("speed [m/s]").locator(".widget-readout").inner_text())
-    assert f"speed_mps={readout!r}" in explorer.line
+    assert explorer.shown() == before
 
 
 def test_it_fits_the_screen_and_is_readable_in_both_themes(explorer):
-    before, page = explorer.picture, explorer.page
+    (before, *_), page = explorer.shown(), explorer.page
     box = page.locator(".rhec").bounding_box()
     panel = page.locator(".jp-NotebookPanel-notebook").bounding_box()
     assert box["width"] <= panel["width"] and box["height"] <= panel["height"]
@@ -255,28 +121,266 @@ def test_it_fits_the_screen_and_is_readable_in_both_themes(explorer):
             }""",
             arg=[before, same],
         )
-        ink, paper = page.evaluate("""() => [
-            getComputedStyle(document.querySelector('.rhec-pictures')).color,
-            getComputedStyle(document.querySelector('.jp-Notebook')).backgroundColor,
-        ]""")
-        assert contrast(ink, paper) > 7
+        ink = page.evaluate("getComputedStyle(document.querySelector('.rhec-pictures')).color")
+        brightness = np.mean([float(part) for part in ink.strip("rgba()").split(",")[:3]])
+        assert (brightness < 60) if same else (brightness > 195)
 
 
-def contrast(one, other):
-    """WCAG's contrast ratio of two colours as CSS computes them."""
+# The screen without a kernel
 
-    def luminance(colour):
-        parts = colour.partition("(")[2].rstrip(")").split(",")[:3]
-        rgb = np.array([*map(float, parts)]) / 255
-        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-        return linear @ (0.2126, 0.7152, 0.0722)
+RENDER = """([state, numbers]) => {
+    const bytes = Uint8Array.from(atob(numbers), letter => letter.charCodeAt(0))
+    state.numbers = new DataView(bytes.buffer, 3) // a message begins anywhere
+    const listeners = new Set()
+    window.told = () => listeners.forEach(each => each())
+    const model = { get: name => state[name], on: (_, act) => listeners.add(act), off() {} }
+    window.state = state
+    screen_of({ model, el: document.querySelector(".rhec") })
+}"""
+# What the picture holds at places of its axes, and the numbers at its ticks with what stands there.
+PIXELS = """([title, places]) => places.map(place => {
+    const { plot } = seen[title]
+    const [x, y, aside_px = 0] = place
+    const at = [plot.x(x) + aside_px, plot.y(y)].map(Math.round)
+    return [...plot.c.getImageData(...at, 1, 1).data]
+})"""
+TICKS = """title => {
+    const { plot, ticks } = seen[title]
+    const number = text => Number(text.replaceAll("−", "-"))
+    const read = ([text, px, py]) =>
+        [number(text), px, py - 4, ...plot.data({ offsetX: px, offsetY: py - 4 })]
+    return [plot.box, ticks.filter(([text]) => /\\d/.test(text)).map(read)]
+}"""
+# What stands above a picture, seen from it.
+PLACES = """all => all.filter(each => each.checkVisibility()).map(each => {
+    const { x, y } = each.parentElement.querySelector("canvas").getBoundingClientRect()
+    const place = each.getBoundingClientRect()
+    return [place.x - x, place.y - y, place.width, place.height]
+})"""
+K = np.arange(11.0)
+SOIL = np.linspace(0.5, 1, 12).reshape(4, 3)
+SEEN = [
+    Mark("soil", 0.3 + 2 * np.arange(4.0), 0.3 + 2 * np.arange(3.0), traction=SOIL),
+    Mark("dots", K[:4], K[:4], colour="red", width=9, label="seen", note="by GNSS"),
+    Mark("dots", 1 + K[:4], K[:4], colour="blue", width=9, label="worst", full=False),
+]
+ERRORS = [
+    Mark("area", K[[2, 2, 8, 8]], np.array([0.5, 1, 1, 0.5]), "blue", alpha=0.5, label="band"),
+    Mark("line", K, np.where(K == 5, np.nan, 0.2), dash=(6, 6), label="path"),
+    Mark("line", K, 0.15 + K / 10, "red", width=3, label="RHE", note=""),
+]
+SPEEDS = [
+    Mark("line", K, K / 10, label="up", note=""),
+    Mark("line", K[:5], np.where(K == 2, np.nan, -0.0123 - K)[:5], label="down", note=""),
+]
+PANELS = dict(
+    a=Panel("field", (0, 6), (0, 4), SEEN, "equal"),
+    b=Panel("error", (0, 10), (0.1, 2), ERRORS, "log", "t [s]"),
+    c=Panel("speed", (0, 10), (0, 1), SPEEDS, "", "t [s]"),
+    d=Panel("map", (0, 10), (0, 10), [Mark("line", K, K, label="way", note="")]),
+)
 
-    low, high = sorted([luminance(one), luminance(other)])
-    return (high + 0.05) / (low + 0.05)
+
+class Pictures:
+    """The screen with PANELS, and what a pointer does on it."""
+
+    def __init__(self, page):
+        self.page = page
+
+    def px(self, title, x, y):
+        """Of a place of the axes, seen from the picture."""
+        place = "([title, x, y]) => [seen[title].plot.x(x), seen[title].plot.y(y)]"
+        return np.array(self.page.evaluate(place, [title, x, y]))
+
+    def at(self, title, x, y):
+        box = self.page.locator(f"canvas[aria-label={title}]").bounding_box()
+        return [box["x"], box["y"]] + self.px(title, x, y)
+
+    def drawn(self):
+        """{picture: [(kind, what a pointer calls it)]}."""
+        return {
+            title: [(kind, label) for kind, _, label, _ in marks.all]
+            for title, marks in marks_on(self.page).items()
+        }
+
+    def limits(self, title):
+        marks = marks_on(self.page)[title]
+        return np.transpose([marks.low, marks.high])
+
+    def wheel(self, title, x, y, by, key="Control"):
+        self.page.mouse.move(*self.at(title, x, y))
+        self.page.keyboard.down(key)
+        self.page.mouse.wheel(0, by)
+        self.page.keyboard.up(key)
+
+    def drag(self, title, start, end, button="left"):
+        """Returns the box that is seen meanwhile."""
+        begin, to = (self.at(title, *place) for place in (start, end))
+        self.page.mouse.move(*begin)
+        self.page.mouse.down(button=button)
+        self.page.mouse.move(*to, steps=3)
+        boxes = self.page.eval_on_selector_all(".view-box", PLACES)
+        self.page.mouse.up(button=button)
+        return boxes
 
 
-@pytest.mark.nightly
-def test_the_benchmark_times_moves_of_a_slider(lab, page):
-    table = latency.measure(lab, page, moves=2)
-    assert list(table["drives"]) == [2, 1]
-    assert (table["kernel_s_median"] < table["picture_s_median"]).all()
+@pytest.fixture
+def screen(page):
+    content, numbers = packed(Picture(("a b", "d c"), PANELS))
+    state = dict(status="ready", status_kind="good", line="rhec", picture=content)
+    state |= dict(table="<table><tr><td>1</td></tr></table>")
+    page.set_content("<body><div class=rhec style='width: 900px'></div></body>")
+    page.add_style_tag(content=CSS)
+    script = Screen._esm.replace("export default { render };", "window.screen_of = render;")
+    page.add_script_tag(content=str(script))
+    page.evaluate(NOTE)
+    page.evaluate(RENDER, [state, base64.b64encode(b"---" + numbers).decode()])
+    return Pictures(page)
+
+
+def test_the_screen_draws_the_marks_of_a_picture_and_a_legend_hides_them(screen):
+    page = screen.page
+    for title, seen in marks_on(page).items():
+        (panel,) = [panel for panel in PANELS.values() if panel.title == title]
+        for mark, (kind, _, _, points) in zip(panel.marks, seen.all, strict=True):
+            assert kind == mark.kind
+            x, y = mark.x, mark.y
+            if mark.traction is not None:
+                x, y = np.meshgrid(x, y, indexing="ij")
+                np.testing.assert_array_equal(points[:, 2], np.float32(mark.traction).ravel())
+            wanted = np.column_stack([np.ravel(x), np.ravel(y)])
+            np.testing.assert_allclose(points[:, :2], wanted, atol=1e-6)
+        if panel.scale != "equal":
+            np.testing.assert_allclose(screen.limits(title), [panel.xlim, panel.ylim])
+    # A mark whose values are not told has no label for the pointer.
+    every = screen.drawn()
+    assert [label for _, label in every["field"]] == ["", "seen by GNSS", ""]
+    assert [label for _, label in every["error"]] == ["", "", "RHE"]
+    entries = page.locator(".rhec-legend button")
+    shown = ["○ worst", "● seen", "━ RHE", "╍ path", "━ band", "━ down", "━ up", "━ way"]
+    assert entries.all_inner_texts() == shown
+    colours = "all => all.map(sample => getComputedStyle(sample).color)"
+    colours = page.eval_on_selector_all(".rhec-legend span", colours)
+    assert colours[:3] == ["rgb(0, 0, 255)", "rgb(255, 0, 0)", "rgb(255, 0, 0)"]
+    for marks, pressed in ((every["error"][:2], "false"), (every["error"], "true")):
+        entries.nth(2).click()
+        assert screen.drawn() == every | dict(error=marks)
+        assert entries.nth(2).get_attribute("aria-pressed") == pressed
+
+
+def test_what_is_new_is_shown_and_what_is_not_stays_as_it_is(screen):
+    page = screen.page
+    words = page.locator(".rhec-status, .rhec-line, .rhec-metrics")
+    assert words.all_inner_texts() == ["ready", "rhec", "1"]
+    page.locator("canvas").nth(1).hover()
+    page.evaluate("state.picture.panels.b.marks[2].note = 'of two', told()")
+    assert "RHE of two" in page.inner_text("canvas[aria-label=error] ~ .view-words")
+    page.evaluate("canvas = document.querySelector('canvas')")
+    page.evaluate("state.status = 'busy', state.line = 'new', state.table = 'no', told()")
+    assert words.all_inner_texts() == ["busy", "new", "no"]
+    assert page.evaluate("canvas.isConnected")
+    page.evaluate("state.picture.layout = ['a', 'b', 'c', 'd']")
+    page.evaluate("state.picture.panels.a.title = 'soil', told()")
+    assert page.locator("figcaption").all_inner_texts() == ["soil", "error", "speed", "map"]
+    places = [canvas.bounding_box() for canvas in page.locator("canvas").all()]
+    assert places[0]["x"] == places[1]["x"] and places[0]["y"] < places[1]["y"]
+
+
+def test_a_tick_stands_where_a_pointer_reads_its_number(screen):
+    for _ in range(2):
+        for title in ("field", "error", "speed", "map"):
+            (left, top, right, bottom), ticks = screen.page.evaluate(TICKS, title)
+            for axis, begin, end in ((0, left, right), (1, top, bottom)):
+                own = [tick for tick in ticks if (tick[1] < left) == bool(axis)]
+                read = [tick[3 + axis] for tick in own]
+                np.testing.assert_allclose([tick[0] for tick in own], read, rtol=1e-4, atol=1e-6)
+                steps = np.diff([begin, *sorted(tick[1 + axis] for tick in own), end])
+                assert steps[1:-1].min() > (31, 60)[not axis] - 2 and steps.max() < 170
+        low, high = screen.limits("field").T
+        assert (high - low)[0] / (right - left) == pytest.approx((high - low)[1] / (bottom - top))
+        screen.wheel("map", 4.3, 6.2, -200)
+        screen.wheel("speed", 4.3, 0.62, -200)
+
+
+def test_what_is_drawn_is_seen_where_it_is(screen):
+    def pixels(title, *places):
+        return np.array(screen.page.evaluate(PIXELS, [title, places]))
+
+    red = 255, 0, 0, 255
+    np.testing.assert_array_equal(pixels("field", (1, 1), (3, 3)), [red] * 2)
+    ring = pixels("field", *[(2, 1, aside_px) for aside_px in (0, 3, 5, 6, 9)]).astype(int)
+    is_blue = ring[:, 2] > ring[:, 0] + 20  # and the soil is brown
+    assert not is_blue[[0, 1, 4]].any() and is_blue[2:4].any()
+    cells = [(i, j) for i in (0, 1, 2) for j in (0, 1)]
+    alpha = pixels("field", *[(0.3 + 2 * i, 0.3 + 2 * j) for i, j in cells])[:, 3]
+    shown = [255 * np.sqrt(1 - SOIL[cell]) / 0.91 for cell in cells]  # as panels.py draws it
+    np.testing.assert_allclose(alpha, np.minimum(shown, 255), atol=4)
+    np.testing.assert_array_equal(pixels("error", (3, 0.45), (7, 0.85)), [red] * 2)
+    band = pixels("error", (3.3, 0.7), (1.3, 0.7), (8.7, 0.7))
+    np.testing.assert_allclose(band, [(0, 0, 255, 128), (0,) * 4, (0,) * 4], atol=2)
+    path = pixels("error", *[(k, 0.2) for k in np.arange(0, 10, 0.013)])[:, 3] > 100
+    known = np.abs(np.arange(0, 10, 0.013) - 5) > 1
+    assert 0.4 < path[known].mean() < 0.6 and path[~known].mean() < 0.1
+    assert pixels("speed", (0, -0.0123))[0, 3] == 0  # beyond its axes
+
+
+def test_a_pointer_shows_the_values_of_its_sample(screen):
+    page = screen.page
+    words = page.locator(".view-words")
+    assert not any(each.is_visible() for each in page.locator("[class^=view-]").all())
+    speeds = {2: "up 0.2", 4: "down −4.01 · up 0.4", 5: "up 0.5", 7: "up 0.7"}
+    for title, x, y, k in (
+        ("speed", 4.1, 0.9, 4),
+        ("error", 2.1, 1, 2),
+        ("error", 4.6, 0.2, 5),
+        ("map", 6.4, 7.6, 7),
+    ):
+        page.mouse.move(*screen.at(title, x, y))
+        said = [f"{k}.0 s · RHE {0.15 + k / 10:.3g}", f"{k}.0 s · {speeds[k]}", f"way {k}, {k}"]
+        assert words.all_inner_texts()[1:] == said
+    # The cursor stands at the sample, in a picture over time from top to bottom.
+    for cursor, title, top in zip(
+        page.eval_on_selector_all(".view-cursor.over-time", PLACES), ("error", "speed"), (2, 1)
+    ):
+        (x, y), (_, bottom) = screen.px(title, 7, top), screen.px(title, 7, (0.1, 0)[top == 1])
+        assert cursor[0] + cursor[2] / 2 == pytest.approx(x, abs=1)
+        assert (cursor[1], cursor[3]) == pytest.approx((y, bottom - y), abs=1)
+    page.mouse.move(600, 760)
+    assert not any(each.is_visible() for each in words.all())
+
+
+def test_a_pointer_zooms_and_moves_within_the_whole(screen):
+    page, whole = screen.page, dict(time=(0, 10), speed=(0, 1), map=[(0, 10), (0, 10)])
+
+    def limits_are(**changes):
+        time, speed, of_map = (whole | changes).values()
+        np.testing.assert_allclose(screen.limits("speed"), [time, speed], atol=0.02)
+        np.testing.assert_allclose(screen.limits("error"), [time, (0.1, 2)], atol=0.02)
+        np.testing.assert_allclose(screen.limits("map"), of_map, atol=0.02)
+
+    screen.wheel("speed", 4, 0.25, -100, key="Alt")
+    limits_are()
+    # Around the pointer, in time in all pictures over time.
+    screen.wheel("speed", 4, 0.25, -100)
+    share = np.exp(-0.2)
+    time, speed = np.array([4 - 4 * share, 4 + 6 * share]), np.array([1 - share, 1 + 3 * share]) / 4
+    limits_are(time=time, speed=speed)
+    page.keyboard.down("Shift")
+    assert not screen.drag("speed", (5, 0.5), (4, 0.4))
+    page.keyboard.up("Shift")
+    limits_are(time=time + 1, speed=speed + 0.1)
+    page.mouse.dblclick(*screen.at("speed", 5, 0.5))
+    limits_are()
+    assert not screen.drag("map", (6, 8), (2, 3), "right")
+    limits_are()
+    # A box is what is seen next; a flat one chooses times alone, and a narrow one is not meant.
+    corners = screen.px("map", 2, 8), screen.px("map", 6, 3)
+    (box,) = screen.drag("map", (6, 8), (2, 3))
+    np.testing.assert_allclose(box, [*corners[0], *np.subtract(*corners[::-1])], atol=2)
+    screen.drag("speed", (3, 0.52), (8, 0.5))
+    screen.drag("map", (5, 7), (4.97, 4))
+    limits_are(time=(3, 8), map=[(2, 6), (3, 8)])
+    assert not page.eval_on_selector_all(".view-box", PLACES)
+    for title, x, y in (("speed", 5, 0.5), ("map", 4, 5)) * 3:
+        screen.wheel(title, x, y, 900)
+    limits_are()

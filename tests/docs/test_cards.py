@@ -1,5 +1,6 @@
 """The cards of the claims: they say what the ledger says, and their pictures are to scale."""
 
+import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -102,75 +103,61 @@ def test_a_card_links_the_live_page_only_where_there_is_one(page):
             assert all_cards[name].select_one(f'a[href="live.html#{address}"]')
 
 
-def test_the_order_on_the_scale_is_that_of_the_numbers():
-    for row in (*DRAWN, *RATIOS):
-        drawn = cards.interval(row)
-        numbers = dict(zip(("value", "low", "high"), drawn["rows"][0][2:]))
-        pairs = [(float(row[name]), at) for name, at in numbers.items() if row[name] != ""]
-        bounds = sorted({bound for bound in (row["above"], row["below"]) if np.isfinite(bound)})
-        pairs += list(zip(bounds, drawn["limits"]))
-        # Where the claim holds reaches from bound to bound, or to an edge.
-        begin, width = drawn["inside"]
-        ends = (begin, row["above"], 14), (begin + width, row["below"], 346)
-        for at, bound, edge in ends:
-            expected = drawn["limits"][bounds.index(bound)] if np.isfinite(bound) else edge
-            assert at == pytest.approx(expected), row["id"]
-        pairs += [(number_of(text), at) for at, text in drawn["ticks"]]
-        if drawn["paper"] is not None:
-            pairs.append((float(row["paper"]), drawn["paper"]))
-        for number, at in pairs:
-            for other, elsewhere in pairs:
-                assert number <= other or at >= elsewhere - 0.1, row["id"]
-        assert all(0 <= at <= 360 for _, at in pairs), row["id"]
-        assert len(drawn["ticks"]) > 1, row["id"]
-        numbers = [number_of(text) for _, text in drawn["ticks"]]
-        are_even = np.allclose(np.diff(numbers), numbers[1] - numbers[0])
-        assert are_even or {f"{number:e}"[:5] for number in numbers} <= ROUND, row["id"]
-        ticks = sorted(drawn["ticks"])
-        for (at, text), (next_at, next_text) in zip(ticks, ticks[1:]):
-            # Both are centred, of characters that are about 6 wide.
-            assert next_at - at > 6 * (len(text) + len(next_text)) / 2, row["id"]
-
-
-def test_a_picture_is_filled_with_a_little_room_on_both_sides():
-    """That of shares goes from 0 to 1, 14 px from the edges."""
-    for row in (*DRAWN, *RATIOS):
-        drawn = cards.interval(row)
-        places = [at for _, _, *found in drawn["rows"] for at in found]
-        if row["unit"].startswith("share"):
-            assert places[0] == pytest.approx(14 + 332 * row["value"], abs=0.1), row["id"]
-            continue
-        places += [*drawn["limits"], *filter(None, [drawn["paper"]])]
-        places = [at for at in places if 14 < at < 346]
-        assert min(places) + max(places) == pytest.approx(360, abs=0.2), row["id"]
-        assert 26 < min(places) < 42, row["id"]
-        assert len(drawn["ticks"]) < 10
+@pytest.mark.parametrize("row", [*DRAWN, *RATIOS], ids=lambda row: row["id"])
+def test_places_on_the_scale_are_linear_in_the_numbers_and_fill_the_picture(row):
+    """In their logarithms if they are ratios; shares go from 0 to 1, 14 px from the edges."""
+    drawn = cards.interval(row)
+    bounds = sorted({bound for bound in (row["above"], row["below"]) if np.isfinite(bound)})
+    shown = []
+    for kind, _, *places in drawn["rows"]:
+        prefix = dict(here="", other="other_")[kind]
+        value, *ends = (row[f"{prefix}{name}"] for name in ("value", "low", "high"))
+        shown += zip([value, *(value if end == "" else end for end in ends)], places)
+    shown += zip(bounds, drawn["limits"], strict=True)
+    shown += [(float(row["paper"]), drawn["paper"])] if drawn["paper"] is not None else []
+    ticks = [(number_of(text), at) for at, text in drawn["ticks"]]
+    numbers, places = np.transpose([*shown, *ticks]).astype(float)
+    is_ratio = row["unit"] == "ratio" and numbers.min() > 0
+    numbers = np.log(numbers) if is_ratio else numbers
+    line = np.polyfit(numbers, places, 1)
+    np.testing.assert_allclose(np.polyval(line, numbers), places, atol=0.3)
+    assert line[0] > 0
+    if row["unit"].startswith("share"):
+        np.testing.assert_allclose(np.polyval(line, [0, 1]), [14, 346], atol=0.1)
+    else:  # a little room on both sides
+        places = [at for _, at in shown]
+        assert min(places) + max(places) == pytest.approx(360, abs=0.2)
+        assert 26 < min(places) < 42
+    # Where the claim holds reaches from bound to bound, or to an edge.
+    (begin, width), limits = drawn["inside"], dict(zip(bounds, drawn["limits"]))
+    expected = limits.get(row["above"], 14), limits.get(row["below"], 346)
+    assert (begin, begin + width) == pytest.approx(expected)
+    # Ticks are round, and their characters, about 6 wide, stand apart.
+    numbers = [number for number, _ in ticks]
+    are_even = np.allclose(np.diff(numbers), numbers[1] - numbers[0])
+    assert are_even or {f"{number:e}"[:5] for number in numbers} <= ROUND
+    assert 1 < len(ticks) < 10
+    for (at, text), (next_at, next_text) in itertools.pairwise(sorted(drawn["ticks"])):
+        assert next_at - at > 6 * (len(text) + len(next_text)) / 2
 
 
 def test_a_lost_rival_far_away_leaves_the_others_apart():
     """Our number and the paper's are as far apart as on a card without that rival."""
     row = next(row for row in DRAWN if row["id"] == "B5")
-    alone = cards.interval(row | dict(other_n=0, other_value=""))
+    rival = dict(other_n=9, other_low="", other_high="")
+    alone = cards.interval(row | dict(other_n=0, other_value="")) | dict(words="")
     value = float(row["value"])
-    reach = np.ptp([0.0, value, float(row["paper"])])
+    reach = np.ptp([value, 0.0, float(row["paper"])])
     for times, is_beyond in ((3, False), (5, True)):
-        other = dict(other_n=9, other_value=value + times * reach, other_low="", other_high="")
-        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
-    reach = np.ptp([0.0, row["value"], row["low"], float(row["paper"])])
-    for times, is_beyond in ((3, False), (5, True)):
-        other = dict(other_n=9, other_value=times * reach, other_low="", other_high="")
-        assert (cards.interval(row | other)["beyond"] is None) != is_beyond
-    for far, half in ((-1e3, None), (1e3, None), (-1e3, 100.0), (1e3, 100.0)):
-        side = np.sign(far)
-        low, high = ("", "") if half is None else (far - half, far + half)
-        ends = dict(other_low=low, other_high=high)
-        drawn = cards.interval(row | dict(other_n=9, other_value=far) | ends)
-        assert drawn | dict(beyond=None, words="") == alone | dict(words="")
-        _, edge, to, number = drawn["beyond"]
-        assert to == side and side * (edge - 180) > 160 and number_of(number) == far
+        drawn = cards.interval(row | rival | dict(other_value=value + times * reach))
+        assert (drawn["beyond"] is not None) == is_beyond
+        assert len(drawn["rows"]) == 2 - is_beyond
+    for far, ends in ((-1e3, {}), (1e3, {}), (1e3, dict(other_low=900.0, other_high=1100.0))):
+        drawn = cards.interval(row | rival | dict(other_value=far) | ends)
+        assert drawn | dict(beyond=None, words="") == alone
+        _, edge, side, number = drawn["beyond"]
+        assert side == np.sign(far) and side * (edge - 180) > 160 and number_of(number) == far
         assert with_minus(str(int(far))) in drawn["words"]
-    near = cards.interval(row | dict(other_n=9, other_value=0.0, other_low="", other_high=""))
-    assert near["beyond"] is None and len(near["rows"]) == 2
 
 
 def test_text_of_the_ledger_stays_text():

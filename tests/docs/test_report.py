@@ -7,7 +7,6 @@ import hashlib
 import inspect
 import re
 from base64 import b64encode
-from fnmatch import fnmatch
 from pathlib import Path
 
 import nbformat
@@ -31,8 +30,8 @@ DRAWN = ("fig99_line", "fig05_dot", "square", "alone")
 TABLES = {"a_table.csv", "table1_times.csv"}
 
 
-@pytest.fixture
-def executed(tmp_path):
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory):
     """A notebook that saved a figure, as the runner leaves it."""
     saved = 'style.save(figure, "fig99_line")\nstyle.save_table(table, "a_table", "One")'
     dots = {"image/png": b64encode(b"dots").decode(), "text/html": "<img>", "text/plain": "Figure"}
@@ -45,7 +44,7 @@ def executed(tmp_path):
     widget = {"application/vnd.jupyter.widget-view+json": {"model_id": "x"}, "text/plain": "VBox()"}
     cell = v4.new_code_cell(saved, outputs=[v4.new_output("display_data", widget)])
     words = "# One\n\nFirst.\n\n**Figure 99.** A line, [named](04_scenario_b.ipynb)."
-    file = tmp_path / "03_scenario_a.ipynb"
+    file = tmp_path_factory.mktemp("executed") / "03_scenario_a.ipynb"
     cells = [v4.new_markdown_cell(words), cell, v4.new_markdown_cell("Made twice."), more, last]
     record = dict(start_time="2026-11-28T09:15:00.123", duration=12.345, parameters=dict(seeds=3))
     metadata = dict(widgets={"application/vnd.jupyter.widget-state+json": {}}, papermill=record)
@@ -53,10 +52,10 @@ def executed(tmp_path):
     return file
 
 
-@pytest.fixture
-def figures(tmp_path):
+@pytest.fixture(scope="module")
+def figures(tmp_path_factory):
     """A folder with what that notebook saved, and with a person's own files."""
-    folder = tmp_path / "figures"
+    folder = tmp_path_factory.mktemp("figures")
     for name in DRAWN:
         width_in = style.COLUMN_IN if name == "square" else style.DOUBLE_IN
         style.save(Figure(figsize=(width_in, 2)), name, folder=folder)
@@ -65,22 +64,17 @@ def figures(tmp_path):
     return folder
 
 
-def pages_in_no_menu(source):
-    """Pages of a site to which no list of the menu leads."""
-    files = [*source.rglob("*.md"), *source.rglob("*.ipynb")]
-    pages = {file.relative_to(source).with_suffix("").as_posix() for file in files}
-    lists = [re.findall(r"(?s)```{toctree}\n(.*?)```", file.read_text()) for file in files]
-    lines = "\n".join(sum(lists, [])).splitlines()
-    names = [re.sub(r".*<(.*)>", r"\1", line) for line in lines]
-    listed = {page for page in pages for name in names if fnmatch(page, name.removeprefix("/"))}
-    return pages - listed
-
-
-def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
-    source = tmp_path / "source"
-    other = executed.with_name("00_start.ipynb")  # which saved nothing
+@pytest.fixture(scope="module")
+def source(executed, figures, tmp_path_factory):
+    """What the pages are made of: that notebook, and one which saved nothing."""
+    other = executed.with_name("00_start.ipynb")
     nbformat.write(v4.new_notebook(cells=[v4.new_markdown_cell("# Two")]), other)
+    source = tmp_path_factory.mktemp("site") / "source"
     report._lay_out(source, [executed, other], figures, live=False)
+    return source
+
+
+def test_what_a_notebook_saved_is_published_alone_in_the_order_of_the_paper(source):
     published = {file.name for file in (source / "figures").iterdir()}
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     of_pages = {*re.findall(r"figures/(\w+\.png)", " ".join(page.read_text() for page in pages))}
@@ -88,12 +82,16 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
     assert published == {*drawn, *TABLES} | of_pages
     page = (source / "figures.md").read_text()
     assert page.count("**Figure 99.** A line, named.") == 1
-    # The paper's figures and tables come first; one as wide as a column stands beside others.
+    # A picture of the paper that has another caption is numbered by its name, others are not.
+    assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
+    # One as wide as a column stands beside others.
     order = ["## The paper", "fig05_dot.png", "fig99_line.png", "## One", "square.png", "alone.png"]
     places = [page.index(each) for each in (*order, "table1_times.csv", "a_table.csv")]
     assert places == sorted(places)
     assert page.count(":figclass: wide") == 3 and page.count("\n## ") == 3
-    assert "leave each as PNG and PDF in `figures/`" in page
+
+
+def test_pages_say_where_results_and_scripts_come_from_and_stand_in_the_menu(source):
     provenance = (source / "provenance.md").read_text()
     for fact in ("Project", "Source", "Commit", "Figures made by", "Machine", "System"):
         assert re.search(rf"^\| {fact} \| .*[0-9a-f]", provenance, re.M), fact
@@ -104,25 +102,26 @@ def test_what_a_notebook_saved_is_published_alone(executed, figures, tmp_path):
         assert (source / f"licences/{package}.txt").read_text() == report.licence(package)
     parameters = (source / "parameters.md").read_text()
     assert "-p world soft" in parameters and "## [One](notebooks/03_scenario_a.ipynb)" in parameters
-    # A picture of the paper that has another caption is numbered by its name, others are not.
-    assert "\n**Figure 5.** Made twice." in page and "\nMade twice." in page
-    assert pages_in_no_menu(source) == {"index"}
+    menu = re.search(r"(?s)```{toctree}\n(.*)```", (source / "docs/extending.md").read_text())[1]
+    assert "/docs/campaigns\n/docs/performance\n" in menu
+    assert len(re.findall("(?m)^<section class=.claim.", (source / "claims.md").read_text())) > 80
+
+
+def test_a_notebook_shows_its_pictures_once_and_links_its_claims(source):
     laid_out = nbformat.read(source / "notebooks/03_scenario_a.ipynb", 4)
     assert "widgets" not in laid_out.metadata  # their state, which needs a kernel
-    cells = laid_out.cells
-    assert {*cells[3].outputs[0].data} == {"image/png", "text/plain"}  # one picture, once
-    picture, table = (output.data for output in cells[4].outputs)
+    _, cell, _, more, last = laid_out.cells
+    assert {*more.outputs[0].data} == {"image/png", "text/plain"}
+    picture, table = (output.data for output in last.outputs)
     assert re.fullmatch(r"!\[.*\]\(../figures/alone.png\)", picture["text/markdown"])
     assert table["text/html"] == '<td><a href="../claims.html#B6">B6</a></td><td>B66</td>'
-    cell = cells[1]
     assert "VBox" not in str(cell) and "rhec lab" in str(cell)
     assert cell.metadata["mystnb"]["image"]["alt"] == "Figure 99. A line, named."
     assert cell.metadata["tags"] == ["hide-input"]
-    assert len(re.findall("(?m)^<section class=.claim.", (source / "claims.md").read_text())) > 80
-    shown = nbformat.read(executed, 4)
-    shown.metadata["rhec"] = dict(code="open")
-    report._prepare(shown)
-    assert "tags" not in shown.cells[1].metadata
+    laid_out.metadata["rhec"] = dict(code="open")
+    del cell.metadata["tags"]
+    report._prepare(laid_out)
+    assert "tags" not in cell.metadata
 
 
 def test_the_cards_are_of_the_ledger_that_was_made_last(executed, figures, tmp_path):
@@ -153,18 +152,8 @@ def test_on_the_site_verdicts_have_colours_and_lead_to_their_cards(tmp_path):
     assert page.get_text().splitlines()[0] == table
 
 
-def test_a_report_that_fails_leaves_the_old_one(figures, tmp_path):
-    old = tmp_path / "report"
-    old.mkdir()
-    (old / "index.html").write_text("old")
-    (tmp_path / "00_start.ipynb").write_text("no notebook")
-    with pytest.raises(nbformat.reader.NotJSONError):
-        report.build([tmp_path / "00_start.ipynb"], figures, old)
-    assert (old / "index.html").read_text() == "old"
-    assert not list(tmp_path.glob("unfinished-*"))
-
-
-def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("live", [False, True])
+def test_a_report_replaces_the_old_one_when_it_is_whole(live, tmp_path, monkeypatch, capsys):
     """Its pictures are smaller ones, its pages have their policy, and it says what it does."""
     old = tmp_path / "far/below/report"
     made = []
@@ -175,7 +164,7 @@ def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monke
             self.site = site
 
         def build(self):
-            assert not old.exists() or (old / "old.html").exists()
+            assert (old / "old.html").exists() == live
             (self.site / "_images").mkdir(parents=True)
             Image.new("RGB", (4, 4)).save(self.site / "_images/one.png")
             (self.site / "one.html").write_text('<head></head><img src="_images/one.png">')
@@ -184,21 +173,25 @@ def test_a_report_replaces_the_old_one_when_it_is_whole(figures, tmp_path, monke
     monkeypatch.setattr(report, "Sphinx", Builder)
     monkeypatch.setattr(report, "_lay_out", lambda *given: made.append(given[1:]))
     monkeypatch.setattr(report.page, "write", lambda site: (site / "live.html").touch())
-    for live in (False, True):
-        report.build(["notebook"], figures, old, live=live)
-        said = capsys.readouterr().out
-        (took_s,) = re.findall(rf"report: {1 + live} pages, 0.0 MB, in (\d+) s", said)
-        assert int(took_s) < 60
-        assert said.count("\n") == 4 + live and ("WebAssembly" in said) == live
-        files = {file.relative_to(old).as_posix() for file in old.rglob("*") if file.is_file()}
-        assert files == {"one.html", "_images/one.webp"} | ({"live.html"} if live else set())
-        page = (old / "one.html").read_text()
-        assert "_images/one.webp" in page and "Content-Security-Policy" in page
-        laid_out, built = made[-2:]
-        assert laid_out == (["notebook"], figures, live)
-        assert built == ("source", ROOT / "docs", "html", ["live"] * live)
+    if live:
+        old.mkdir(parents=True)
         (old / "old.html").touch()
-    assert not list(old.parent.glob("unfinished-*"))
+    report.build(["notebook"], "figures", old, live=live)
+    said = capsys.readouterr().out
+    (took_s,) = re.findall(rf"report: {1 + live} pages, 0.0 MB, in (\d+) s", said)
+    assert int(took_s) < 60
+    assert said.count("\n") == 4 + live and ("WebAssembly" in said) == live
+    files = {file.relative_to(old).as_posix() for file in old.rglob("*") if file.is_file()}
+    assert files == {"one.html", "_images/one.webp"} | ({"live.html"} if live else set())
+    page = (old / "one.html").read_text()
+    assert "_images/one.webp" in page and "Content-Security-Policy" in page
+    tags = ["live"] * live
+    assert made == [(["notebook"], "figures", live), ("source", ROOT / "docs", "html", tags)]
+    monkeypatch.setattr(Builder, "build", lambda self: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        report.build(["notebook"], "figures", old, live=live)
+    assert (old / "one.html").read_text() == page  # one that fails leaves the old one
+    assert [file.name for file in old.parent.iterdir()] == ["report"]
 
 
 def test_the_reference_has_all_public_names():
@@ -294,10 +287,3 @@ def test_a_picture_of_a_page_keeps_its_colours_over_white(tmp_path):
         assert picture.format == "WEBP"
         shown = np.array(picture.convert("RGB"))
     assert (shown[:8] == [0, 114, 178]).all() and (shown[8:] == 255).all()
-
-
-def test_a_notebook_that_was_stopped_has_no_duration():
-    record = dict(duration=None, start_time="2026-01-02T03:04:05.6")
-    notebook = nbformat.v4.new_notebook(metadata=dict(papermill=record))
-    found = report._run_of(Path("01_tutorial.ipynb"), notebook)
-    assert (found["started (UTC)"], found["duration [s]"]) == ("2026-01-02 03:04:05", "0")
