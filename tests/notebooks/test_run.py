@@ -9,12 +9,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import nbformat
 import papermill
 import pytest
 from helpers import NOTEBOOKS
 from jupyter_server.services.contents.filemanager import FileContentsManager
+from matplotlib_inline import backend_inline
 from nbconvert import HTMLExporter
 from nbformat import v4
 from papermill.exceptions import PapermillExecutionError
@@ -76,6 +78,14 @@ def test_a_refusal_says_what_was_given_and_what_may_be(name, value, sentence):
 def test_values_within_the_types_pass():
     allowed = dict(seed=0, seeds=1000, speed_mps=1, gains=(), process_noise="prediction")
     parameters(executed(**allowed, is_robust=True))
+
+
+def test_what_a_user_defines_when_ipython_starts_is_no_parameter(monkeypatch):
+    monkeypatch.setattr(backend_inline, "set_matplotlib_formats", lambda *given, **options: None)
+    ipython = SimpleNamespace(user_ns_hidden={"In": None, "mine": None})
+    namespace = executed(mine=3, get_ipython=lambda: ipython)
+    parameters(namespace)
+    assert namespace["mine"] == 3
 
 
 def test_the_cell_can_be_run_again():
