@@ -18,6 +18,7 @@ from scipy import stats
 import rhec
 from notebooks.claims import __main__ as command
 from notebooks.claims import evidence, experiments, ledger, rules, run_sets, summary, worlds
+from notebooks.claims.live_robot import LiveRobot
 from notebooks.rivals import RIVALS
 from notebooks.studies import parallel, statistics
 from notebooks.studies.answer import RESULTS
@@ -956,6 +957,23 @@ def test_one_iteration_a_sample_is_the_run_that_is_simulated():
     np.testing.assert_allclose(distance_m, columns["error_true_m"], atol=1e-9)
     assert len(problems) == len(taken_s) == 40
     assert (taken_s > 0).all() and taken_s.sum() < took_s
+
+
+def test_every_sample_has_as_many_iterations_as_were_asked_for():
+    """Oracle: an RHE and an RHC on what the same robot measures under the same commands."""
+    faults = (rhec.Fault(kind="jump", channel="gnss", start_s=2.0, size_m=0.5),)
+    scenario = rhec.Scenario(process_noise="prediction", duration_s=4.0, faults=faults)
+    *_, problems, commands = experiments.live(scenario, 3)
+    robot = LiveRobot(scenario)
+    estimator = rhec.RHE(process_noise="prediction", guess=tuple(robot.world.guess))
+    controller = rhec.RHC()
+    for z, problem, omega in zip(robot, problems, commands):
+        estimator.prepare()
+        estimate = estimator.solve(z, 3)
+        np.testing.assert_allclose([*estimate.pose, *estimate.p], np.hstack(problem[:2]), atol=1e-9)
+        controller.prepare()
+        assert controller.solve(*problem, 3) == pytest.approx(omega, abs=1e-9)
+        robot.drive(omega)
 
 
 def test_a_cold_command_is_that_of_a_controller_just_made():
