@@ -80,19 +80,6 @@ def test_derivatives_are_the_finite_differences(options):
     np.testing.assert_allclose(np.hstack([np.array(interval.A_0) + D, B]), differences, atol=1e-6)
 
 
-def test_f_may_be_a_list_a_column_or_unpacked():
-    names = dict(states=("a", "b"), inputs=("w",), outputs=("a",), parameters={"k": None})
-
-    def unpacked(x, u, p):
-        a, b = x
-        (w,) = u
-        return b, p[0] * a + w
-
-    column = lambda x, u, p: ca.vertcat(x[1], p * x[0] + u)  # noqa: E731
-    listed = lambda x, u, p: [x[1], p[0] * x[0] + u[0]]  # noqa: E731
-    assert len({rhec.Model(**names, f=f) for f in (unpacked, column, listed)}) == 1
-
-
 def motor(**options):
     """A motor that follows its set point within 10 ms."""
     names = dict(states="angle", inputs="set", parameters={}, outputs=("angle", "set"))
