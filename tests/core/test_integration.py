@@ -148,6 +148,24 @@ def test_what_no_rule_amplifies_is_taken(virtual_machine):
     rhec.RHE(model=model, dt=0.3, horizon=5, **noise)
 
 
+def test_an_estimate_at_which_the_rule_grows_is_not_ok_and_does_not_stay(virtual_machine):
+    """A motor that is twice as fast as any that one Runge-Kutta step follows."""
+    rhe = mhe_of_k(motor_of(None), 10)
+    exact = motor_of(None, steps=8)
+    rng = np.random.default_rng(0)
+    x = [0.0]
+    grown = []
+    for k in range(60):
+        u = [(-1.0) ** (k // 3)]
+        x = exact.simulate(x, [u], [60.0], dt=0.1)[-1]
+        z = -0.1 * rhe.step(np.array([*x, *u]) + 0.02 * rng.normal(size=2)).p[0]
+        growth = abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
+        grown.append(growth > 1.2)
+        assert not (grown[-1] and rhe.ok)
+        assert not all(grown[-2:]) or len(grown) < 2
+    assert sum(grown) >= 5 and rhe.ok
+
+
 def test_a_column_of_casadi_is_a_measurement(virtual_machine):
     estimates = []
     for z in ([0.3, 0.5], np.array([[0.3], [0.5]]), ca.DM([0.3, 0.5])):
