@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 import pytest
 
 import rhec
@@ -308,24 +307,6 @@ def test_a_compilation_is_announced_once_to_whoever_waits(tmp_path, monkeypatch,
     for _ in range(2):
         compiled.load.__wrapped__(build_increment)
     assert capsys.readouterr() == ANNOUNCED[where]
-
-
-def test_a_buffered_function_computes_what_the_function_does():
-    matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
-    results = [matrix @ vector, ca.sumsqr(vector)]
-    names = ["matrix", "vector"], ["product", "norm"]
-    function = ca.Function("f", [matrix, vector], results, *names)
-    buffered = compiled.BufferedFunction(function)
-    lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
-    buffered.set(matrix=lower, vector=ones)
-    buffered.call()
-    np.testing.assert_array_equal(buffered.results["product"], [1, 42, 653])
-    mine, out = np.array([1.0, 0.0, 0.0]), np.zeros(3)
-    buffered.read_from("vector", mine)
-    buffered.write_to("product", out)
-    buffered.call()
-    np.testing.assert_array_equal(out, [1, 2, 3])
-    assert buffered.results["norm"] == 1
 
 
 def test_a_function_that_calls_qpoases_is_left_out_of_the_library():
