@@ -119,12 +119,9 @@ AMPLIFIED = [
     (*BY_5510, functools.partial(motor_of, (0.1, 200.0)), mhe_of_k),
     (*BY_304, functools.partial(motor_of, None), lambda model: mhe_of_k(model, 50)),
     (*BY_291, motor, lambda model: rhec.EKF(model=model, **NOISE, dt=0.1)),
-    (*BY_5510, functools.partial(motor_of, (-np.inf, 200.0)), mhe_of_k),
-    (*BY_5510, functools.partial(motor_of, (0.1, 200.0)), first_command),
 ]
 
 
-@pytest.mark.nightly(keep=4)
 @pytest.mark.parametrize("said, proposed, make, use", AMPLIFIED)
 def test_what_the_rule_amplifies_is_refused_and_the_sentence_helps(
     virtual_machine, said, proposed, make, use
