@@ -211,6 +211,21 @@ def test_estimates_never_leave_their_bounds(robot, data):
             assert np.all(np.isfinite(part))
 
 
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_commands_never_leave_their_bounds(data):
+    """Not by one bit, whatever finite problem is given."""
+    robot, mpc = SKID_STEERED, controller(SKID_STEERED)
+    low, high = np.array(list(robot.bounds.values())).T
+    problem = mpc_instance(robot, np.random.default_rng(data.draw(st.integers(0, 10**6))))
+    scale = data.draw(st.sampled_from([0.1, 10.0, 1e4, 1e9]))
+    for _ in range(data.draw(st.integers(1, 5))):
+        mpc.prepare()
+        offset = np.array(data.draw(st.lists(st.floats(-1, 1), min_size=3, max_size=3)))
+        u = mpc.feedback(**problem | dict(x=problem["x"] + scale * offset))
+        assert np.all((low <= u) & (u <= high))
+
+
 @pytest.mark.parametrize(
     "robot, command", [(SKID_STEERED, SKID_STEERED.inputs), (BICYCLE, ("steering_rad",))]
 )
