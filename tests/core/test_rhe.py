@@ -5,10 +5,12 @@ that are silent or lie. What holds for any Model is in test_any_robot.
 import numpy as np
 import pytest
 from helpers import weaving_yaw_rates, with_noise
-from oracles import N, drive, flat
+from oracles import N, drive, flat, mhe_by_ipopt, mhe_instance
+from robots import CRAWLER
 
 import rhec
 from benchmark.condensed import box_qp_by_library
+from rhec import paper
 from rhec.core.solver.box_qp import box_qp
 from rhec.tracked_robot.own_loop import Estimate
 
@@ -23,6 +25,24 @@ def feed(rhe, z):
         rhe.prepare()
         estimates.append(rhe.feedback(reading))
     return estimates
+
+
+def test_iterated_to_convergence_it_is_the_optimum_that_ipopt_finds():
+    """Of a full window; a third of these or more with a traction coefficient at its bound."""
+    rng, bounded = np.random.default_rng(0), 0
+    for _ in range(12):
+        guess, z = mhe_instance(CRAWLER, rng)
+        rhe = rhec.RHE(guess=tuple(guess), sigma_v=paper.SIGMA_V)
+        feed(rhe, z[:-1])
+        rhe.prepare()
+        estimate, optimum = rhe.solve(z[-1]), mhe_by_ipopt(CRAWLER, guess, z)
+        found = [*estimate.pose, *estimate.p]
+        np.testing.assert_allclose(found, [*optimum["x"], *optimum["p"]], rtol=0, atol=1e-6)
+        covariance = optimum["covariance"]()
+        np.testing.assert_allclose(estimate.covariance, covariance, rtol=1e-5, atol=1e-8)
+        assert rhe.ok and rhe.kkt < 1e-8
+        bounded += 1 in (estimate.mu, estimate.kappa)
+    assert 4 <= bounded < 12
 
 
 def test_the_first_estimate_knows_the_yaw_as_a_guess_or_a_sensor_does_and_else_not_at_all():
