@@ -26,7 +26,6 @@ LONGEST = (
     "notebooks/test_tutorial.py",
     "project/test_benchmark.py",
     "project/test_command_line.py",
-    "core/test_compiled.py",
     "explorer/test_explorer.py",
 )
 

@@ -1,5 +1,6 @@
 """Controllers whose bounds cannot be kept, or are just kept, do the best that physics allows."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -65,6 +66,34 @@ def test_a_command_in_a_narrow_band_away_from_the_first_plan(width):
     mpc.step((1.0, 0.0))
     assert mpc.ok, mpc.status
     np.testing.assert_allclose(mpc.u_plan, 0.3, rtol=0, atol=1.01 * width)
+
+
+def pole_on_a_cart(x, u, p):
+    sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+    force = u[0] + 0.1 * sine * (0.5 * x[3] ** 2 - 9.81 * cosine)
+    acceleration = force / (1 + 0.1 * sine**2)
+    return [x[1], acceleration, x[3], (9.81 * sine - acceleration * cosine) / 0.5]
+
+
+@pytest.mark.nightly(keep=2)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_loop_of_an_unstable_plant_stays_within_a_hard_bound(seed):
+    """Also while a step is not solved, and the plan before goes on."""
+    states = ("pos", "vel", "angle", "rate")
+    model = rhec.Model(states=states, inputs="force", f=pole_on_a_cart)
+    rail_m = 0.6
+    bounds = dict(force=(-12, 12), pos=(-rail_m, rail_m))
+    weights = dict(q=(1.0, 0.1, 10.0, 0.1), r=(0.01,))
+    mpc = rhec.RHC(model=model, dt=0.04, horizon=40, bounds=bounds, **weights)
+    x = np.random.default_rng(seed).uniform((-0.3, -0.5, -1, -0.5), (0.3, 0.5, 1, 0.5))
+    x[2] = 0.7 * np.sign(x[2])
+    n_ok = 0
+    for _ in range(80):
+        u = mpc.step(x)
+        n_ok += mpc.ok
+        x = model.simulate(x, [u], dt=0.04)[-1]
+        assert abs(x[0]) < rail_m + 0.01
+    assert n_ok > 0.85 * 80
 
 
 def test_changes_are_counted_from_the_command_that_was_applied():

@@ -3,6 +3,7 @@ doing so.
 """
 
 import fcntl
+import functools
 import os
 import re
 import shutil
@@ -11,7 +12,6 @@ import sys
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 import pytest
 
 import rhec
@@ -20,37 +20,12 @@ from rhec.core.lanes import lanes
 
 BUILD = """
 import rhec
-model = rhec.Model(
-    states=("x_m",), inputs=("v_mps",), parameters={}, outputs=("x_m", "v_mps"),
-    f=lambda x, u, p: u,
-)
+model = rhec.Model(states="x_m", inputs="v_mps", outputs=("x_m", "v_mps"), f=lambda x, u, p: u)
 one = (1.0,)
-ekf = rhec.EKF(
-    model=model, dt=0.2, sigma_v=(1.0, 1.0), sigma_w=one, guess=one, sigma_guess=one
-)
-ekf.prepare()
-print(ekf.feedback((2.0, 3.0)))
+ekf = rhec.EKF(model=model, dt=0.2, sigma_v=(1.0, 1.0), sigma_w=one, guess=one, sigma_guess=one)
+print(ekf.step((2.0, 3.0)))
 """
-ROOT = Path(rhec.__file__).parents[1]
 needs_compiler = pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler")
-
-
-def start(cache, **environment):
-    """A process of its own that builds the EKF."""
-    return subprocess.Popen(
-        [sys.executable, "-c", BUILD],
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-        env=os.environ | dict(RHEC_CACHE=str(cache)) | environment,
-    )
-
-
-def answer(process):
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    return out
 
 
 @needs_compiler
@@ -58,8 +33,12 @@ def test_one_of_several_processes_compiles_into_a_private_cache(tmp_path):
     compiler, calls = tmp_path / "cc", tmp_path / "calls"
     compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] || echo once >> {calls}\nexec cc "$@"\n')
     compiler.chmod(0o755)
-    processes = [start(tmp_path / "cache", CC=str(compiler)) for _ in range(2)]
-    assert len({*map(answer, processes)}) == 1
+    environment = os.environ | dict(RHEC_CACHE=str(tmp_path / "cache"), CC=str(compiler))
+    command = [sys.executable, "-c", BUILD]
+    options = dict(cwd=Path(rhec.__file__).parents[1], env=environment, stdout=subprocess.PIPE)
+    processes = [subprocess.Popen(command, **options) for _ in range(2)]
+    answers = [process.communicate(timeout=60)[0] for process in processes]
+    assert answers[0] == answers[1] != b""
     assert calls.read_text() == "once\n"
     assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
 
@@ -107,17 +86,28 @@ OTHER_CACHE = "rhec: compiled code is kept in "
 VIRTUAL_MACHINE = "on CasADi's virtual machine the results are the same, about five times slower\n"
 
 
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory):
-    """What the EKF answers, compiled as usual."""
-    return answer(start(tmp_path_factory.mktemp("cache")))
+def build_increment():
+    x = ca.SX.sym("x")
+    return dict(increment=ca.Function("increment", [x], [x + 1]))
 
 
-def said(process, expected):
-    """The one line on stderr of a process that gave the right answer."""
-    out, err = process.communicate(timeout=120)
-    assert process.returncode == 0 and out == expected and err.count("\n") == 1, err
-    return err
+@pytest.fixture
+def said(tmp_path, monkeypatch, capsys):
+    """Loads a Function, as a process that has not compiled yet, and returns what it says."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "elsewhere"))
+    monkeypatch.setattr(compiled, "_failed", set())
+    monkeypatch.setattr(compiled, "_working_compiler", compiled._working_compiler.__wrapped__)
+    monkeypatch.setattr(cache, "warn_once", functools.cache(cache.warn_once.__wrapped__))
+
+    def load():
+        for _ in range(2):
+            functions = compiled.load.__wrapped__(build_increment)
+            assert functions["increment"](1.0) == 2.0
+        return capsys.readouterr().err
+
+    return load
 
 
 FAILING = {
@@ -129,20 +119,18 @@ FAILING = {
 }
 
 
-@pytest.mark.nightly(keep=1)
-@needs_compiler
 @pytest.mark.parametrize("how", FAILING)
-def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(tmp_path, expected, how):
+def test_a_compiler_that_fails_leaves_the_virtual_machine_and_no_files(
+    tmp_path, monkeypatch, said, how
+):
     compiler = tmp_path / "cc"
     compiler.write_text(f"#!/bin/sh\n{FAILING[how]}\n" if FAILING[how] else "rubbish")
     compiler.chmod(0o755)
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    failing = start(tmp_path / "cache", CC=str(compiler), TMPDIR=str(elsewhere))
-    line = said(failing, expected)
-    assert str(compiler) in line and line.endswith(VIRTUAL_MACHINE)
+    monkeypatch.setenv("CC", str(compiler))
+    line = said()
+    assert str(compiler) in line and line.endswith(VIRTUAL_MACHINE) and line.count("\n") == 1
     assert ("error: no y.h" in line) == (how == "finds no header")
-    assert not list(tmp_path.glob("cache/*")) and not list(elsewhere.glob("*/*"))
+    assert not list(tmp_path.glob("cache/*")) and not list(tmp_path.glob("elsewhere/*/*"))
 
 
 @pytest.fixture
@@ -168,13 +156,14 @@ def test_a_compiler_that_hangs_is_a_compiler_that_fails(hanging, tmp_path, monke
 
 @needs_compiler
 @pytest.mark.parametrize("everywhere", [False, True])
-def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, expected, everywhere):
+def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, monkeypatch, said, everywhere):
     """By a temporary one, and without any folder for code by the virtual machine."""
     (tmp_path / "file").touch()
+    monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "file/cache"))
     elsewhere = tmp_path / ("file/x" if everywhere else "elsewhere")
-    if not everywhere:
-        elsewhere.mkdir()
-    line = said(start(tmp_path / "file/cache", TMPDIR=str(elsewhere)), expected)
+    monkeypatch.setenv("TMPDIR", str(elsewhere))
+    line = said()
+    assert line.count("\n") == 1
     if everywhere:
         assert line.startswith("rhec: nothing more is compiled, since ")
         assert line.endswith(VIRTUAL_MACHINE)
@@ -183,18 +172,14 @@ def test_a_cache_that_cannot_be_used_is_replaced(tmp_path, expected, everywhere)
         assert len(list(elsewhere.glob("rhec-*/*/library.so"))) == 1
 
 
-def test_without_a_compiler_results_agree_and_one_line_says_so_unless_none_was_wanted(
-    tmp_path, expected
-):
-    line = said(start(tmp_path, PATH="/nowhere", CC="cc"), expected)
-    assert "no C compiler found" in line
-    assert start(tmp_path, CC="").communicate(timeout=120) == (expected, "")
-    assert list(tmp_path.iterdir()) == []
-
-
-def build_increment():
-    x = ca.SX.sym("x")
-    return dict(increment=ca.Function("increment", [x], [x + 1]))
+def test_without_a_compiler_one_line_says_so_unless_none_was_wanted(tmp_path, monkeypatch, said):
+    monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.setenv("CC", "cc")
+    line = said()
+    assert "no C compiler found" in line and line.count("\n") == 1
+    monkeypatch.setenv("CC", "")
+    assert said() == ""
+    assert not list(tmp_path.glob("cache/*")) and not list(tmp_path.glob("elsewhere/*"))
 
 
 def build_text(text):
@@ -322,24 +307,6 @@ def test_a_compilation_is_announced_once_to_whoever_waits(tmp_path, monkeypatch,
     for _ in range(2):
         compiled.load.__wrapped__(build_increment)
     assert capsys.readouterr() == ANNOUNCED[where]
-
-
-def test_a_buffered_function_computes_what_the_function_does():
-    matrix, vector = ca.SX.sym("matrix", ca.Sparsity.lower(3)), ca.SX.sym("vector", 3)
-    results = [matrix @ vector, ca.sumsqr(vector)]
-    names = ["matrix", "vector"], ["product", "norm"]
-    function = ca.Function("f", [matrix, vector], results, *names)
-    buffered = compiled.BufferedFunction(function)
-    lower, ones = np.arange(1.0, 7.0), np.array([1.0, 10.0, 100.0])
-    buffered.set(matrix=lower, vector=ones)
-    buffered.call()
-    np.testing.assert_array_equal(buffered.results["product"], [1, 42, 653])
-    mine, out = np.array([1.0, 0.0, 0.0]), np.zeros(3)
-    buffered.read_from("vector", mine)
-    buffered.write_to("product", out)
-    buffered.call()
-    np.testing.assert_array_equal(out, [1, 2, 3])
-    assert buffered.results["norm"] == 1
 
 
 def test_a_function_that_calls_qpoases_is_left_out_of_the_library():

@@ -118,36 +118,26 @@ def test_a_first_plan_of_nothing_is_not_kept_where_the_bounds_exclude_it(bounds,
             np.testing.assert_allclose(mpc.u_plan, optimum.u, rtol=0, atol=1e-6)
 
 
-def test_the_first_feedback_is_iterated_and_solve_tells_whether_it_converged():
-    """From rest before an obstacle, where a single step would be far from the optimum."""
-    given = obstacle_instance(np.random.default_rng(7))
-    live, iterated = controller(OBSTACLE), controller(OBSTACLE)
-    live.prepare()
-    live.feedback(**given)
-    iterated.solve(**given, iterations=1)
-    assert not iterated.converged
-    iterated.solve(**given, iterations=100)
-    assert iterated.converged and live.ok
-    np.testing.assert_allclose(live.u_plan, iterated.u_plan, rtol=0, atol=1e-6)
-    iterated.step(**given)
-    assert iterated.ok and not iterated.converged  # of a single step that is not known
-
-
 def test_ok_and_converged_tell_how_far_the_optimum_is():
-    """Of plans of ever more iterations: one that IPOPT improves much is neither; it is `ok` before
-    it is converged.
+    """Of plans of ever more iterations, from rest before an obstacle: one that IPOPT improves much
+    is neither; it is `ok` before it is converged. The first feedback is iterated.
     """
     given = obstacle_instance(np.random.default_rng(7))
     mpc, oracle = controller(OBSTACLE), PlanProblem(OBSTACLE)
     flags = []
     for iterations in (4, 8, 15, 18, 24, 27):
-        mpc.iteration.started = False
+        mpc.restart()
         mpc.solve(**given, iterations=iterations)
         error = np.abs(mpc.u_plan - oracle.solve(**given, u=mpc.u_plan).u).max()
         assert (mpc.ok, mpc.converged) == (error < 0.1, error < 1e-5)
         assert mpc.ok == (mpc.status == "") and (mpc.ok or "iterations" in mpc.status)
         flags.append(mpc.ok + mpc.converged)
     assert flags == [0, 0, 1, 1, 2, 2]
+    live = controller(OBSTACLE)
+    live.step(**given)
+    np.testing.assert_allclose(live.u_plan, mpc.u_plan, rtol=0, atol=1e-6)
+    mpc.step(**given)
+    assert mpc.ok and not mpc.converged  # of a single step that is not known
 
 
 def test_full_weights_and_outputs_are_the_same_cost_in_other_words():
@@ -165,7 +155,7 @@ def test_full_weights_and_outputs_are_the_same_cost_in_other_words():
     for other in (output, end):
         np.testing.assert_allclose(other.u_plan, matrix.u_plan, rtol=0, atol=1e-7)
     moved = dict(given, x=(1.3, 0.2), x_ref=(0.3, 0.0))
-    output.iteration.started = False
+    output.restart()
     output.solve(**moved, y_ref=(0.3,), iterations=2)
     np.testing.assert_allclose(output.u_plan, matrix.u_plan, rtol=0, atol=1e-7)
 

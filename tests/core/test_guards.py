@@ -93,6 +93,18 @@ def test_positions_that_have_moved_for_good_are_taken_at_the_fourth(robot, size_
         assert off[first + 3 :].max() < 0.5
 
 
+@pytest.mark.parametrize("speed_mps", [10, 30])
+def test_they_are_so_as_well_while_the_estimate_itself_moves(speed_mps):
+    """Wrong encoders correct it at each sample by an amount that grows with the wrong speed."""
+    drives = table.spoiled(table.Case("paper, printed", "later", "moved for good by 5 m"), DRIVES)
+    z = drives.z.copy()
+    for of_drive, first in zip(z, drives.first):
+        of_drive[first:, 2] += speed_mps
+    _, ok = table.run(table.paper_estimators("prediction")["RHE"], drives._replace(z=z))
+    for flags, first in zip(ok, drives.first):
+        assert flags[first : first + 5].tolist() == [False, False, False, True, True]
+
+
 @pytest.mark.parametrize("robot", ["paper, printed", "unicycle"])
 def test_scattered_positions_move_nothing_and_weigh_as_they_scatter(robot):
     """At first none is used; from the eighth on they count as noise of that size."""

@@ -60,12 +60,14 @@ def test_a_solution_as_the_plan_is_the_first_command(bounds, virtual_machine):
     np.testing.assert_allclose(first.u_plan, solved.u_plan, atol=1e-5)
 
 
-def test_without_states_the_plan_is_simulated(virtual_machine):
+def test_without_states_the_plan_is_simulated_within_the_bounds_of_commands(virtual_machine):
     mpc = controller()
-    u_plan = some_inputs(np.random.default_rng(1))
+    u_plan = 5 * some_inputs(np.random.default_rng(1))
     mpc.restart(u_plan=u_plan)
     mpc.solve(HANGING, (), GOAL, (0.0,), iterations=0)
-    nodes = OPTIONS["model"].simulate(HANGING, u_plan.T, dt=OPTIONS["dt"])
+    kept = np.clip(u_plan, *OPTIONS["bounds"]["force_N"])
+    assert (kept != u_plan).any()
+    nodes = OPTIONS["model"].simulate(HANGING, kept.T, dt=OPTIONS["dt"])
     current = mpc.iteration.current["s"].reshape(N + 1, 4)
     np.testing.assert_allclose(current, nodes, rtol=1e-12, atol=1e-12)
 

@@ -207,25 +207,26 @@ def estimator(world, kind, **settings):
     return kind(model=rhec.Model(**robot.model), **settings)
 
 
-def estimates(world, kind, z="z", **settings):
-    live = estimator(world, kind, **settings)
+def steps_of(live, world, z):
+    """The estimates of a live object that was restarted after some samples."""
     z = told(world, z, world["robot"].outputs).T
     for row in z[: world["before"]]:
         live.step(row)
     live.restart()
-    return by_name(live.model.names, [np.concatenate(live.step(row)[:3]) for row in z])
+    return [live.step(row) for row in z]
+
+
+def estimates(world, kind, z="z", **settings):
+    live = estimator(world, kind, **settings)
+    found = [np.concatenate(each[:3]) for each in steps_of(live, world, z)]
+    return by_name(live.model.names, found)
 
 
 def papers_estimates(world, process_noise):
     """The paper's own RHE."""
-    robot = world["robot"]
-    names = (*robot.states, *robot.parameters)
+    names = (*world["robot"].states, *world["robot"].parameters)
     live = rhec.RHE(guess=tuple(told(world, "guess", names)), process_noise=process_noise)
-    z = told(world, "z", robot.outputs).T
-    for row in z[: world["before"]]:
-        live.step(row)
-    live.restart()
-    return by_name(names, [live.step(row)[:6] for row in z])
+    return by_name(names, [each[:6] for each in steps_of(live, world, "z")])
 
 
 def replayed(world, estimator):

@@ -23,7 +23,7 @@ def model_with(**changed):
 
 
 NAMED = dict(
-    states=("x_m", "v_mps"),
+    states=["x_m", "v_mps"],
     inputs="force",
     parameters=dict(mass=(0.1, 1.0)),
     outputs=("x_m", "tip"),
@@ -135,18 +135,34 @@ def test_an_estimator_of_a_model_without_inputs(virtual_machine, bounds, noise_i
     assert estimates[0].p[0] == pytest.approx(estimates[1].p[0], abs=0.01)
 
 
-def test_a_filter_whose_estimate_is_no_number_is_not_ok(virtual_machine):
-    model = rhec.Model(states="x", outputs="x", f=lambda x, u, p: 1e4 * x)
-    ekf = rhec.EKF(model=model, dt=1.0, sigma_v=[1], sigma_w=[1], guess=[1], sigma_guess=[1])
-    before = ekf.status
-    assert not ekf.ok and "sample" in before
-    ekf.step([1.0])
-    assert ekf.ok and ekf.status == ""
-    for _ in range(9):
-        ekf.step([np.nan])
-    assert not ekf.ok and ekf.status not in ("", before)
-    ekf.restart()
-    assert not ekf.ok and ekf.status == before
+@pytest.mark.parametrize("kind, options", [(rhec.EKF, {}), (rhec.RHE, dict(horizon=3))])
+def test_an_estimate_whose_variance_no_state_may_have_is_not_ok(virtual_machine, kind, options):
+    model = rhec.Model(states="x", outputs="x", f=lambda x, u, p: 5 * x)
+    noise = dict(sigma_v=[1], sigma_w=[1], guess=[0], sigma_guess=[1])
+    live = kind(model=model, dt=1.0, **noise, **options)
+    before = live.status
+    assert not live.ok and "sample" in before
+    live.step([0.0])
+    assert live.ok and live.status == ""
+    for _ in range(12):
+        live.step([np.nan])
+    assert not live.ok and live.status not in ("", before)
+    live.restart()
+    assert not live.ok and live.status == before
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (-np.inf, 5.0), (0.0, np.inf)])
+def test_an_infinite_bound_is_none(virtual_machine, bounds):
+    options = dict(dt=0.2, sigma_v=(0.1, 0.1), sigma_w=(0.0, 0.01))
+    options |= dict(guess=(0.0, 0.5), sigma_guess=(1.0, 1.0), horizon=5)
+    estimates = []
+    for slip in (bounds, None):
+        estimator = rhec.RHE(model=model_with(parameters=dict(slip=slip)), **options)
+        for k in range(10):
+            estimate = estimator.step([0.1 * k, 0.6])
+        assert estimator.kkt >= 0
+        estimates.append([*estimate.x, *estimate.p])
+    np.testing.assert_allclose(*estimates, rtol=1e-9)
 
 
 @pytest.mark.parametrize("still", [0, 0.0, np.float64(0), np.zeros(1), ca.DM(0)])

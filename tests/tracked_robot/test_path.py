@@ -59,6 +59,12 @@ def test_segments_without_length_change_no_reference(name):
         np.testing.assert_equal(filled, along(path, s))
 
 
+def test_a_path_may_be_given_as_lists():
+    path = PATHS["open"]
+    listed = rhec.Path(path.segments.tolist(), path.length_m, path.closed)
+    np.testing.assert_array_equal(listed.poses([4.0, 6.0])[0], path.poses([4.0, 6.0])[0])
+
+
 def test_a_path_may_be_shorter_than_a_metre():
     path = rhec.Path.from_segments([(0.3, 2.0)])
     np.testing.assert_allclose(path.poses([0.2])[0], [[np.sin(0.4) / 2, np.sin(0.2) ** 2, 0.4]])

@@ -50,7 +50,7 @@ from rhec.core._casadi.build import casadi_function, short_cut
 from rhec.core.estimator import half_turn, new_start, newest_interval, noise_level
 from rhec.core.estimator.half_turn import HalfTurn
 from rhec.core.model.integration import growth_function
-from rhec.core.model.limits import MAX_PLAUSIBLE_STATE, is_valid_measurement
+from rhec.core.model.limits import is_valid_measurement
 
 
 class Tuned(NamedTuple):
@@ -352,7 +352,7 @@ class InnovationGate:
     def conclude(self, window, given, verdict, result):
         """The flags `ok`, `kept` and `restart`, and the memory, given the feedback's result.
 
-        The window fails, too, where a variance is not positive or too large.
+        The window fails, too, where a variance is not positive.
 
         Args:
             window: The rhe.Window.
@@ -360,9 +360,8 @@ class InnovationGate:
             verdict: {name: expression} of the gate's Function.
             result: {name: expression} of the feedback.
         """
-        variances = ca.diag(result["covariance"])
-        has_variances = ca.mmin(variances) > 0
-        kept = result["ok"] * has_variances * (ca.mmax(variances) <= MAX_PLAUSIBLE_STATE)
+        has_variances = ca.mmin(ca.diag(result["covariance"])) > 0
+        kept = result["ok"] * has_variances
         ok = kept * verdict["agrees"]
         restart = kept * verdict["restart"]
         grows = growth_function(window.model, window.dt_s)
