@@ -202,7 +202,6 @@ def test_a_bag_that_was_cut_off_is_refused_with_the_command_that_repairs_it(tmp_
 
 
 def test_noise_in_a_bag_ends_in_a_sentence(tmp_path):
-    """Whatever the bytes are: a log, or one sentence."""
     random = np.random.default_rng(0)
     for kind in ("bag", "mcap"):
         (tmp_path / kind).mkdir()

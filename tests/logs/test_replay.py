@@ -59,7 +59,6 @@ def test_without_encoders_a_robot_goes_on_between_the_samples_as_at_them():
 
 
 def test_replaying_the_log_of_a_run_gives_its_estimates(run):
-    """The estimates are those of the closed loop."""
     given = dict(
         process_noise="prediction",
         sigma_v=paper.SIGMA_V,
