@@ -118,6 +118,15 @@ def test_a_delay_that_is_told_is_made_up_for():
     np.testing.assert_allclose(told[ESTIMATE][whole], fresh[ESTIMATE][whole], atol=1e-6)
 
 
+@pytest.mark.parametrize("delay_s", [0.25, -0.1])
+def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
+    fine = recorded_log(100.0, 60.0)
+    late = fine[["x_m", "y_m"]].shift(round(100 * delay_s))
+    log = fine.assign(x_m=late["x_m"], y_m=late["y_m"])[100:5900:20]
+    result = rhec.replay(log, position_delay_s=delay_s, first_yaw_rad=log["yaw_true_rad"].iloc[0])
+    assert errors(result[result["t_s"] > 20])[1] < 0.01
+
+
 @pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("silence_s", [60.0, 5.0])
 def test_a_silence_keeps_the_traction_and_the_yaw(silence_s):
