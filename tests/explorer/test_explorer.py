@@ -163,6 +163,9 @@ def test_what_may_be_chosen_is_what_its_name_says():
         row_s = SHORT.row_length_m / SHORT.speed_mps
         assert fault.kind == "latency" or row_s / 2 < fault.start_s < row_s, name
         assert fault.channel in (*name.split(), "gnss"), name
+    sensors = dict(controls.CONTROLS["sensors"].options)
+    assert [*sensors] == ["none", "gyro", "heading", "gyro and heading"]
+    assert all(name == " and ".join(of) for name, of in sensors.items() if of)
     path = rhec.Path.rows(SHORT.row_length_m, SHORT.headland_radius_m, SHORT.turns)
     assert path.project([controls.NEW_PATCH[:2]])[0] == pytest.approx(0)
     assert controls.NEW_PATCH[3] < SHORT.mu_mean and controls.NEW_PATCH[4] < SHORT.kappa_mean
