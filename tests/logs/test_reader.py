@@ -278,9 +278,9 @@ def test_a_table_of_any_logger_is_read(tmp_path, text, columns, suffix):
 
 @pytest.mark.parametrize("row", ["0.0;1,234.5;-12,345,678.25", "0,0;1.234,5;-12.345.678,25"])
 def test_marks_of_thousands_are_read(tmp_path, row):
-    (tmp_path / "log.csv").write_text(f"t_s;x_m;y_m\n{row}\n{row}\n")
+    (tmp_path / "log.csv").write_text(f"t_s;x_m;y_m\n{row}\n1;2;3\n")
     log = rhec.logs.read(tmp_path / "log.csv")
-    np.testing.assert_allclose(log[["x_m", "y_m"]], [[1234.5, -12345678.25]] * 2)
+    np.testing.assert_allclose(log[["x_m", "y_m"]], [[1234.5, -12345678.25], [2, 3]])
 
 
 def test_several_files_of_one_drive_are_put_together_by_their_clock(tmp_path):
