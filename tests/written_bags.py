@@ -126,10 +126,6 @@ def pose_stamped(x, y):
     return Message("geometry_msgs/msg/PoseStamped", of_pose("pose", x, y))
 
 
-def twist(speed, yaw_rate):
-    return Message("geometry_msgs/msg/Twist", of_twist("", speed, yaw_rate))
-
-
 def twist_stamped(speed, yaw_rate):
     return Message("geometry_msgs/msg/TwistStamped", of_twist("twist.", speed, yaw_rate))
 

@@ -56,9 +56,8 @@ def rectangle(xlim, ylim, **look):
 
 
 def round_up_to(value):
-    """The smallest 0.15 · 2ⁿ, n = 0 to 11, not below the value; the largest for NaN and beyond."""
-    doublings = np.ceil(np.log2(np.maximum(value, 0.15) / 0.15))
-    return 0.15 * 2.0 ** np.fmin(doublings, 11)
+    """The smallest 0.15 · 2ⁿ, n = 0, 1, …, not below the value."""
+    return 0.15 * 2.0 ** np.ceil(np.log2(max(value, 0.15) / 0.15))
 
 
 def _common_range(columns, *names):

@@ -26,7 +26,6 @@ from rhec.logs.recording import MAX_PERIOD, SECONDS, time_unit
 _SEPARATORS = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
 _LONGEST_PROBLEM = 1000  # characters of an error message of another library
 _DECIMALS = {",": "comma", ".": "point"}
-_MOST_BYTES = 16 * MOST_VALUES  # of a Parquet file's columns, unpacked
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")  # suffixes of tables as text
 _BEGIN = 1024  # bytes, of which one is 0 in a picture, an archive or a table of another kind
 _NUMBER_WITH_COMMA = re.compile(r"\d,\d")
@@ -340,7 +339,9 @@ def _read_parquet(file, columns):
                 f"its column {left_out[0]} is of type {schema.field(left_out[0]).type}; it should "
                 "be numbers or times"
             )
-        _refuse_large(parquet.metadata, names)
+        n_values = parquet.metadata.num_rows * len(names)
+        if n_values > MOST_VALUES:
+            raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
         table = parquet.read(names).to_pandas()
     table.attrs.clear()  # of a replay, which the file may bring along
     return table, {}
@@ -352,18 +353,6 @@ def _is_number(kind):
 
     tests = types.is_integer, types.is_floating, types.is_decimal, types.is_temporal
     return types.is_boolean(kind) or any(test(kind) for test in tests)
-
-
-def _refuse_large(metadata, names):
-    """Refuse a Parquet file whose columns of these names have too many values or bytes."""
-    n_values = metadata.num_rows * len(names)
-    if n_values > MOST_VALUES:
-        raise ValueError(f"it has {n_values} values, and should have at most {MOST_VALUES}")
-    groups = [metadata.row_group(place) for place in range(metadata.num_row_groups)]
-    parts = [group.column(place) for group in groups for place in range(group.num_columns)]
-    unpacked = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
-    if unpacked > _MOST_BYTES:
-        raise ValueError(f"it unpacks to {unpacked} bytes, and should to at most {_MOST_BYTES}")
 
 
 def _in_seconds(log, inferred):

@@ -5,8 +5,10 @@ sentence where something cannot be.
 import json
 import re
 import threading
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import get_args
+from unittest import mock
 
 import ipywidgets
 import numpy as np
@@ -161,6 +163,9 @@ def test_what_may_be_chosen_is_what_its_name_says():
         row_s = SHORT.row_length_m / SHORT.speed_mps
         assert fault.kind == "latency" or row_s / 2 < fault.start_s < row_s, name
         assert fault.channel in (*name.split(), "gnss"), name
+    sensors = dict(controls.CONTROLS["sensors"].options)
+    assert [*sensors] == ["none", "gyro", "heading", "gyro and heading"]
+    assert all(name == " and ".join(of) for name, of in sensors.items() if of)
     path = rhec.Path.rows(SHORT.row_length_m, SHORT.headland_radius_m, SHORT.turns)
     assert path.project([controls.NEW_PATCH[:2]])[0] == pytest.approx(0)
     assert controls.NEW_PATCH[3] < SHORT.mu_mean and controls.NEW_PATCH[4] < SHORT.kappa_mean
@@ -465,7 +470,8 @@ def test_a_large_field_is_drawn_coarsely_but_in_its_place(made):
 
 def test_the_map_shows_the_first_row_wherever_it_lies_and_the_tolerance_around_it(made):
     path = rhec.Path.from_segments([(20.0, 0.0), (20.0, -0.05)], start=(3.0, -2.0, 2.0))
-    run = replace(made.runs[0], path=path)
+    begins_on_it = replace(SHORT, start_offset_m=0.0)
+    run = replace(made.runs[0], path=path, scenario=begins_on_it)
     panel = pictured(run, "first row").panels["map"]
     ends = path.poses([0.0, 20.0])[0]
     for (low, high), at in zip((panel.xlim, panel.ylim), ends.T):
@@ -529,14 +535,27 @@ def test_every_picture_is_complete(made, zoom):
 # What cannot be
 
 
-def test_an_impossible_setting_is_one_sentence(made, capsys):
-    made.inputs["mu_mean"].value = 0.99
+@pytest.mark.parametrize(
+    "error, status",
+    [
+        (ValueError("r was 20;\n it should be another"), "r was 20; it should be another"),
+        (ZeroDivisionError("of all things"), "ZeroDivisionError: of all things"),
+        (KeyboardInterrupt(), "interrupted: the picture is of the settings before"),
+    ],
+)
+def test_what_cannot_be_run_is_one_sentence_beside_the_last_picture(
+    made, monkeypatch, capsys, error, status
+):
+    """An interrupt is one for the kernel, too. The next move shows all settings."""
     before = shown(made)
-    made.inputs["mu_deviation"].value = 0.3
-    assert "mu_deviation was 0.3; with mu_mean 0.99 it should be below 0.0995" in made.screen.status
-    assert shown(made) == before
-    made.inputs["mu_deviation"].value = 0.04
-    assert "mu_deviation" not in made.screen.status
+    goes_on = pytest.raises(KeyboardInterrupt) if "interrupted" in status else nullcontext()
+    with monkeypatch.context() as patch, goes_on:
+        patch.setattr(explorer.closed_loop, "simulate_loaded", mock.Mock(side_effect=error))
+        made.inputs["r"].value = 20.0
+    assert made.screen.status == status and shown(made) == before
+    made.inputs["qn_factor"].value = 30.0
+    assert made.screen.status.startswith("2 runs of 60 s")
+    assert (made.runs[0].scenario.r, made.runs[0].scenario.qn_factor) == (20.0, 30.0)
     assert capsys.readouterr() == ("", "")
 
 
@@ -550,37 +569,14 @@ def test_a_file_name_cannot_leave_its_folder(made, tmp_path):
 
 def test_callbacks_in_two_threads_do_not_overlap(made):
     """As where a kernel answers a page's messages in its main thread and in a subshell's."""
-    other = threading.Thread(target=made.seed.set_trait, args=("value", 3))
+    before = shown(made)
+    other = threading.Thread(target=made.zoom.set_trait, args=("value", "first row"))
     with made.lock:
         other.start()
-        other.join(timeout=0.1)
-        assert other.is_alive()
-        assert made.runs[0].scenario.seed == SHORT.seed
+        other.join(timeout=0.5)
+        assert other.is_alive() and shown(made) == before
     other.join()
-    assert [run.scenario.seed for run in made.runs] == [3, 3]
-
-
-def test_an_internal_error_is_shown_in_the_status_line(made, monkeypatch, capsys):
-    def broken(*loaded):
-        raise ZeroDivisionError("of all things")
-
-    monkeypatch.setattr(explorer.closed_loop, "simulate_loaded", broken)
-    made.inputs["r"].value = 20.0
-    assert "ZeroDivisionError: of all things" in made.screen.status
-    assert capsys.readouterr() == ("", "")
-
-
-def test_an_interrupted_run_says_that_the_picture_is_older_than_the_settings(made, monkeypatch):
-    def interrupted(*loaded):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(explorer.closed_loop, "simulate_loaded", interrupted)
-        made.inputs["r"].value = 20.0
-    assert made.screen.status == "interrupted: the picture is of the settings before"
-    assert made.runs[0].scenario.r != 20.0
-    made.inputs["r"].value = 30.0  # the next move shows all settings
-    assert made.runs[0].scenario.r == 30.0 and "interrupted" not in made.screen.status
+    assert shown(made) != before
 
 
 def test_a_lost_robot_is_drawn():

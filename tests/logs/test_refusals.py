@@ -44,6 +44,10 @@ def test_a_log_that_cannot_be_replayed():
             "the log had no…; left_rpm are turns of wheels in a minute",
         ),
         (LOG.iloc[:, :5].rename(columns=dict(speed_mps="delta_s")), "the log had no…; delta_s may"),
+        (
+            LOG.iloc[:, :5].rename(columns=dict(speed_mps="wind_speed")),
+            "the log had no…s': 'NAME'}",
+        ),
     ]
     assert_refused(rhec.replay, [((log,), sentence) for log, sentence in rows])
 
