@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import rhec
 from notebooks.further import unknowns
@@ -91,6 +92,14 @@ def test_each_robot_has_a_row_with_its_errors_in_millimetres():
     mean_mm = 1e3 * made_up(drift_pays)["d = 0", unknowns.ORACLE, unknowns.TUNED].mean()
     text = shown.loc[(unknowns.TUNED, unknowns.ORACLE), "d = 0"]
     assert text.startswith(f"{mean_mm:.1f} [") and len(set(shown.iloc[0])) == 1
+
+
+@pytest.mark.parametrize(
+    "ratios, words",
+    [([0.5], "50 %"), ([0.7, 0.9], "10 to 30 %"), ([0.9, 1.2], "0 to 10 %"), ([1.0], "nothing")],
+)
+def test_what_is_taken_off_is_a_range_over_the_worlds(ratios, words):
+    assert unknowns._taken_off(pd.Series(ratios)) == words
 
 
 def test_a_world_where_an_oracle_is_lost_does_not_count():
