@@ -225,6 +225,11 @@ def test_the_p_of_a_claim_is_the_largest_of_what_is_decided_or_else_of_what_is_o
     assert ledger._largest_p(found, UNDECIDED) == 0.3
 
 
+def test_beside_what_decides_stands_the_first_that_says_otherwise():
+    found = with_verdicts(dict(one=HOLDS, two=HOLDS, three=FAILS, four=FAILS))
+    assert ledger._other(found, "one")["other_condition"] == "three"
+
+
 # The ledger itself
 
 
