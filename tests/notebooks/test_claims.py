@@ -1105,3 +1105,9 @@ def test_an_arrival_cost_forgets_by_w_and_the_adaptive_one_is_the_rhes():
     assert row["grown_with_w"] < 1.1 < row["grown_without_w"]
     steps = [row[f"step_{name}"] for name in ("heavy", "adaptive", "light", "none")]
     assert 10 * steps[0] < steps[1] < steps[2] < 1.1 * steps[3]
+    # It is about the mean covariance of full windows.
+    given = experiments.build_with_given_arrival(), log, rhec.Scenario(process_noise="prediction")
+    _, P = experiments.run_with_given_arrival(*given)
+    heavy = P[paper.HORIZON + 1 :].mean(axis=0) / 100
+    estimates, _ = experiments.run_with_given_arrival(*given, heavy)
+    assert steps[0] == pytest.approx(np.sqrt(np.mean(np.diff(estimates[:, 5]) ** 2)))
