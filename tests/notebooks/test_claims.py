@@ -996,8 +996,11 @@ def test_a_search_ends_as_published_or_after_as_many_runs_as_is_said(monkeypatch
     """With W by prediction it finds an estimate below zero."""
     claim = ledger.CLAIMS["M7"]
     judge = claim.rule.by_condition[statistics.PREDICTION]
-    found = judge({judge.tables[0]: experiments.lowest_traction("prediction")})
+    table = experiments.lowest_traction("prediction")
+    found = judge({judge.tables[0]: table})
     assert (found.value, found.n) == tuple(PUBLISHED.loc["M7", ["value", "n"]])
+    for name in ("guess_yaw_rad", "start_offset_m"):  # to both sides
+        assert table[name].min() < -2 and table[name].max() > 2
     columns = dict(mu_hat=np.array([0.5]), kappa_hat=np.array([0.1]))
     monkeypatch.setattr(experiments, "simulate", lambda scenario: SimpleNamespace(columns=columns))
     said = int(re.search(r"in (\d+) runs", claim.test)[1])
