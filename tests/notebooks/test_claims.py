@@ -257,6 +257,7 @@ def test_to_beat_a_rival_that_is_lost_is_named_so():
     assert found["W consistent"].verdict == HOLDS
     assert found[statistics.PREDICTION].verdict == FAILS
     assert found["W by tracking"].verdict == UNDECIDED
+    assert claim.rule.combined(found) == ("holds with W consistent", "W consistent")
     # A rival is lost by the mean of its drives, also where most of them are good. Such a verdict
     # rests on no interval.
     ekf = tables["printed", "runs", "ekf"]
