@@ -105,12 +105,6 @@ def test_what_is_taken_off_is_a_range_over_the_worlds(ratios, words):
 def test_a_world_where_an_oracle_is_lost_does_not_count():
     table = unknowns.worth_table(made_up(drift_pays, lost=(unknowns.SOFT,)))
     assert unknowns.drivable(table) == [name for name in EVERY_WORLD if name != unknowns.SOFT]
-    # With R tuned it does not matter whether the oracle is lost.
-    of_oracle = table["robot"] == unknowns.ORACLE
-    other = table.assign(
-        lost=table["lost"].mask(of_oracle & (table["weights"] == unknowns.TUNED), 1)
-    )
-    assert unknowns.drivable(other) == unknowns.drivable(table)
 
 
 def test_worlds_of_the_posterior_are_driven_as_they_were_drawn():
