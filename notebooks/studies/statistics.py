@@ -346,16 +346,16 @@ def share(flags, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
     return Finding(value, float(low), float(high), n, outcome, above, below, p)
 
 
-def share_twice(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
-    """Judge the share of pairs in which one is more than twice the other."""
+def share_twice(one, other, **bounds):
+    """Judge the share of pairs in which one is more than twice the other, as `share` does."""
     one, other = _checked(one, other)
-    return share(one > 2 * other, above, below, confidence)
+    return share(one > 2 * other, **bounds)
 
 
-def share_less(one, other, above=-np.inf, below=np.inf, confidence=CONFIDENCE):
-    """Judge the share of pairs in which one is less than the other."""
+def share_less(one, other, **bounds):
+    """Judge the share of pairs in which one is less than the other, as `share` does."""
     one, other = _checked(one, other)
-    return share(one < other, above, below, confidence)
+    return share(one < other, **bounds)
 
 
 def relative_to_oracle(flags, oracle, above, confidence=CONFIDENCE):

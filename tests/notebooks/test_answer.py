@@ -96,6 +96,8 @@ def test_an_order_that_turns_with_the_path_is_said_with_the_cases_in_which_it_do
     assert "in 8 of 12 cases of rule and turns;" in said and "tracking" not in said
     once = answer.in_short(scenario_b(errors, instead={("left", "tracking"): (0.03, 1.3)}))
     assert "with W as printed the EKF is lost" in once  # on every pattern
+    said = answer.in_short(scenario_b(dict.fromkeys(PROCESS_NOISES, (0.05, 0.05))))
+    assert "which is better, RHE or EKF, is undecided by every rule" in said
     said = answer.in_short(scenario_b(dict.fromkeys(PROCESS_NOISES, (0.08, 1.3))))
     assert said.startswith("No: which is better cannot be judged") and "EKF is lost" in said
 

@@ -11,6 +11,7 @@ import rhec
 from notebooks.studies import interpretations
 from rhec import paper
 from rhec.core._casadi.packing import pack_array
+from rhec.tracked_robot import tuning
 from rhec.tracked_robot.estimators import build_step, estimator_of
 from rhec.tracked_robot.kinematics import QUANTITIES
 
@@ -53,6 +54,17 @@ def test_nothing_is_learnt_of_kappa_on_a_straight():
     assert np.all(
         curve[1] ** 2 - curve[0] ** 2 < 0.1 * (straight[1] ** 2 - straight[0] ** 2)
     ) and np.all(curve[1] < straight[1])
+
+
+def test_the_analysis_is_of_what_the_rules_pick():
+    """On the curve of the table the robot turns by the yaw rate that its radius asks for."""
+    for estimator, place in (("ekf", 0), ("rhe", 5)):
+        ends = [tuning.NOISES[estimator][rule].sigma_w[place] for rule in ("printed", "prediction")]
+        assert [*interpretations.between_the_rules(estimator)[[0, -1]]] == pytest.approx(ends)
+    (row,) = interpretations.sigma_kappa_table([0.1]).itertuples()
+    omega_radps = 0.9 * paper.SPEED_MPS / (0.8 * paper.HEADLAND_RADIUS_M)
+    expected = [interpretations.rhe_sigma_kappa([0.1], omega)[0] for omega in (0.0, omega_radps)]
+    assert (row.straight, row.curve) == pytest.approx(expected)
 
 
 def test_an_interpretation_is_compared_with_the_baseline_at_equal_seeds(monkeypatch):

@@ -178,6 +178,8 @@ def test_help_of_a_notebook_names_its_parameters(command, capsys):
     assert "seeds: whole number, 2 to 1000 (default: 400)" in shown
     assert "process_noise: printed, consistent, prediction or tracking" in shown
     assert "-p seed 0" in shown
+    command()
+    assert "NOTEBOOK" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -296,37 +296,26 @@ def test_the_page_leaves_out_a_calibration_that_kept_the_defaults():
     )
 
 
-def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step():
+def test_a_yaw_is_unsure_by_its_sigma_or_a_failed_step(monkeypatch):
     """Of three bad yaws two are unsure, of four good ones one, and one of 0.3 rad is neither.
 
     Each score but their number is that of the samples with an estimate alone.
     """
-    n = 9
+    monkeypatch.setattr(scores, "FROM_M", 0.0)
+    samples = scores.perturbed_replay(recorded_log(5.0, 10.0), 0)[:9]
     error = [0.6, -0.6, 0.7, 0.1, np.nan, 0.0, -0.1, 2 * np.pi, 0.3]
-    samples = pd.DataFrame(
-        dict(
-            segment=np.zeros(n, int),
-            nu_meas_mps=100.0,  # far enough from the first sample on
-            omega_meas_radps=0.0,
-            theta_rad=0.2,
-            theta_hat_rad=np.add(0.2, error),
-            sigma_theta_rad=[0.3, 0.2, 0.2, 0.3, np.nan, 0.2, 0.2, 0.2, 0.3],
-            ok=[True, False, True, True, True, True, True, True, True],
-            mu_hat=[0.9, 0.0, 1.0, 1.1, np.nan, 0.9, 0.9, 0.9, 0.9],
-            kappa_hat=[0.9, 1.0, 0.0, 0.9, np.nan, -0.1, 0.9, 0.9, 0.9],
-            innovation_x_m=0.0,
-            innovation_y_m=0.0,
-            x_m=0.0,
-            y_m=0.0,
-            x_hat_m=error,
-            y_hat_m=0.0,
-        )
-    )
+    samples = samples.assign(theta_hat_rad=samples["theta_rad"] + error)
+    samples["sigma_theta_rad"] = [0.3, 0.2, 0.2, 0.3, np.nan, 0.2, 0.2, 0.2, 0.3]
+    samples["ok"] = [True, False, True, True, True, True, True, True, True]
+    estimates = [*samples.filter(regex="_hat|innovation")]
+    samples.loc[samples.index[4], estimates] = np.nan
     values = scores.score(samples)
-    known = scores.score(samples[samples["theta_hat_rad"].notna()])
-    assert values == pytest.approx(known | dict(samples=n), rel=1e-12)
-    assert values["not_good"] == 0.5
-    assert values["outside"] == 2 and values["not_ok"] == 1
+    known = scores.score(samples.drop(samples.index[4]))
+    shares = [*known.keys() - {"samples", "mu_regression", "kappa_regression"}]
+    assert {name: values[name] for name in shares} == pytest.approx(
+        {name: known[name] for name in shares}, rel=1e-12
+    )
+    assert values["not_good"] == 0.5 and values["not_ok"] == 1
     assert values["bad_unsure"] == pytest.approx(2 / 3)
     assert values["good_unsure"] == pytest.approx(1 / 4)
     assert np.isnan(scores.score(samples[3:])["bad_unsure"])

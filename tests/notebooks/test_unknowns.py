@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import rhec
 from notebooks.further import unknowns
@@ -93,15 +94,17 @@ def test_each_robot_has_a_row_with_its_errors_in_millimetres():
     assert text.startswith(f"{mean_mm:.1f} [") and len(set(shown.iloc[0])) == 1
 
 
+@pytest.mark.parametrize(
+    "ratios, words",
+    [([0.5], "50 %"), ([0.7, 0.9], "10 to 30 %"), ([0.9, 1.2], "0 to 10 %"), ([1.0], "nothing")],
+)
+def test_what_is_taken_off_is_a_range_over_the_worlds(ratios, words):
+    assert unknowns._taken_off(pd.Series(ratios)) == words
+
+
 def test_a_world_where_an_oracle_is_lost_does_not_count():
     table = unknowns.worth_table(made_up(drift_pays, lost=(unknowns.SOFT,)))
     assert unknowns.drivable(table) == [name for name in EVERY_WORLD if name != unknowns.SOFT]
-    # With R tuned it does not matter whether the oracle is lost.
-    of_oracle = table["robot"] == unknowns.ORACLE
-    other = table.assign(
-        lost=table["lost"].mask(of_oracle & (table["weights"] == unknowns.TUNED), 1)
-    )
-    assert unknowns.drivable(other) == unknowns.drivable(table)
 
 
 def test_worlds_of_the_posterior_are_driven_as_they_were_drawn():

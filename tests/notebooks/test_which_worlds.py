@@ -112,26 +112,6 @@ def test_what_the_posterior_depends_on_is_told_alike(monkeypatch):
     assert len(table.drop_duplicates()) == 4
 
 
-def test_the_posterior_rests_on_as_many_worlds_as_it_says():
-    """At least 300 effective worlds, of which those that are driven again are some 150 or more.
-
-    Each world is among the draws that are driven again as often as its weight says, rounded up or
-    down for each of its simulations, whichever way these were ordered.
-    """
-    drives = which_worlds.prior_drives()
-    table = which_worlds.simulations(drives, which_worlds.both_rounds(drives))
-    draws = abc_regression.posterior(table, which_worlds.observed(), which_worlds.KEEP)
-    assert draws.effective_worlds > 300
-    driven = which_worlds.posterior_table()
-    n_worlds = table.world.max() + 1
-    worlds = table.world[draws.rows]
-    counts = np.bincount(driven["world"], minlength=n_worlds)
-    wanted = len(driven) * draws.weights
-    assert np.all(counts >= np.bincount(worlds, np.floor(wanted), minlength=n_worlds))
-    assert np.all(counts <= np.bincount(worlds, np.ceil(wanted), minlength=n_worlds))
-    assert which_worlds.effective_number(driven["world"]) > 150
-
-
 def test_files_hold_what_the_code_drives(monkeypatch):
     """Each robot on both fields of a world with ruts shorter than a sample, and of the next one."""
     monkeypatch.setattr(which_worlds, "_BLOCK", 1)
