@@ -258,6 +258,7 @@ def by_w(w):
     return filter_of_yaw_rates(noises=dict(prediction=((w,), None)))
 
 
+SOIL = rhec.Terrain.uniform(0.7, 0.6)
 # What differs by as little as there is of a number, and within an object.
 DIFFERENT = [
     dict(r=np.nextafter(SHORT.r, 0)),
@@ -266,8 +267,8 @@ DIFFERENT = [
     dict(turns="left"),
     dict(backwards=True),
     dict(faults=(rhec.Fault(kind="stuck"),)),
-    dict(terrain=rhec.Terrain.uniform(0.7, 0.6)),
-    dict(terrain=rhec.Terrain.uniform(0.7, np.nextafter(0.6, 1))),
+    dict(terrain=SOIL),
+    dict(terrain=dataclasses.replace(SOIL, kappa=SOIL.kappa + np.diag([0, 1e-15]))),
     dict(path=rhec.Path.from_segments([(20.0, 0.0)])),
     dict(path=rhec.Path.from_segments([(20.0, 0.0)], start=(0.0, 1e-300, 0.0))),
     dict(controller=own_controller(SHORT)),
@@ -289,11 +290,17 @@ def as_pipe(file):
     os.mkfifo(file)
 
 
-MANY = pa.table({name: ["many"] for name in ("key", *store.TYPES)})
+def as_table(value):
+    """What writes a table of a campaign's columns with this value in all of them."""
+    table = pa.table({name: [value] for name in ("key", *store.TYPES)})
+    return lambda file: pq.write_table(table, file)
+
+
 SPOILT = {
     "truncated": lambda file: file.write_bytes(file.read_bytes()[:-100]),
     "of something else": lambda file: pq.write_table(pa.table(dict(key=["a"], x=[3.0])), file),
-    "of other types": lambda file: pq.write_table(MANY, file),
+    "of other types": as_table("many"),
+    "of nothing": as_table(None),
     "a pipe": as_pipe,
 }
 
