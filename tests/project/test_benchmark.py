@@ -45,7 +45,7 @@ def test_agreement_counts_the_iterations_that_convergence_takes(loop, recorded):
     assert table["rhe_maximum"].iloc[-1] <= step.TOLERANCE < table["rhe_maximum"].iloc[-iterations]
 
 
-@pytest.mark.nightly(keep=1)  # that the paper's robot is timed at all
+@nightly
 def test_who_does_not_agree_is_not_timed(loop, capsys, monkeypatch):
     def wrong(case, first):
         return lambda problem: problem.estimate + 2 * step.TOLERANCE_OF_INTERIOR_POINTS
@@ -112,6 +112,7 @@ def test_lines_that_hold_code_are_counted():
     assert lines.count(text) == 5
 
 
+@pytest.mark.nightly(keep=1)
 @pytest.mark.parametrize("task", lines.TASKS)
 def test_both_ways_to_write_a_tutorial_come_to_the_same(task):
     ours = importlib.import_module(f"benchmark.tutorials.{task}_rhec").LAST

@@ -119,6 +119,12 @@ def test_the_code_for_extensions_runs(tmp_path, monkeypatch):
     assert abs(there["u"]).max() <= 1 and there["run"].metrics["solver_ok"]
 
 
+def test_an_address_in_results_is_not_broken(monkeypatch):
+    address = f"[it](https://example.org/{'long-' * 25}name)"
+    monkeypatch.setitem(results.BLOCKS, "bar", lambda: f"{'word ' * 30}{address}")
+    assert address in results.rewrite("<!-- results bar -->\nold\n<!-- end -->").splitlines()
+
+
 def test_the_results_in_readme_and_docs_are_those_of_the_tables(tmp_path):
     texts = [(ROOT / page).read_text(encoding="utf-8") for page in results.PAGES]
     (tmp_path / "docs").mkdir()

@@ -18,7 +18,6 @@ from rhec import embedded, files, style
 from rhec.cli import main
 from rhec.files import replacing
 from rhec.logs.outputs import write_estimates
-from rhec.simulation.campaigns import store
 
 
 def test_a_file_is_replaced_once_it_is_whole(tmp_path):
@@ -52,11 +51,6 @@ def by_command(*words):
         raise {1: FULL, 130: KeyboardInterrupt}[code]
 
 
-def row_of(n):
-    """The row of a run whose metrics are all alike."""
-    return {name: kind(n) for name, kind in store.TYPES.items()} | dict(error="")
-
-
 # What writes files, given a folder and which version of them.
 WRITERS = {
     "figure": lambda to, n: style.save(Figure(figsize=(n, 1)), "one", folder=to),
@@ -64,7 +58,6 @@ WRITERS = {
     "soil": lambda to, n: rhec.Terrain.uniform(0.9, 0.8 / n).save(to / "soil.npz"),
     "export": lambda to, n: embedded._write(to, {"a.h": 20_000 * f"{n}", "a.c": f"{n}"}),
     "estimates": lambda to, n: write_estimates(n * TABLE, to),
-    "rows": lambda to, n: store.save_rows(to, {"a": row_of(n)}),
     "run": lambda to, n: by_command(
         *f"simulate --duration-s 2 --seed {n} --overwrite".split(),
         *("--log", to / "run.csv", "--plot", to / "run.png"),

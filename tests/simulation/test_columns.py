@@ -4,7 +4,6 @@ import itertools
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import rhec
@@ -51,24 +50,14 @@ def test_a_run_has_the_columns_that_the_page_says(run):
     assert {*everything.log.columns} == described
 
 
-# {column: (signals, which entries of them it stands for)}
-FLAGS_OF_TWO = {
-    "ok": (("ok_rhe", "ok_rhc"), (0, 1)),
-    "position_accepted": (("accepted",), (0, 1)),
-    "encoders_accepted": (("accepted",), (2, 3)),
-}
-
-
-@pytest.mark.parametrize("column", FLAGS_OF_TWO)
-@pytest.mark.parametrize("both", [*itertools.product((0, 1), repeat=2)])
-def test_a_flag_holds_where_both_that_it_stands_for_hold(column, both):
-    """Both QPs are solved, or both entries of a measurement are taken; others play no part."""
-    names, entries = FLAGS_OF_TWO[column]
-    values = np.zeros(2 if len(names) == 2 else 4)
-    values[list(entries)] = both
-    given = dict(zip(names, np.split(values, len(names))))
-    row = row_of_log(4, has_yaw_drift=False)(**given)["row"]
-    assert float(row[columns.COLUMNS.index(column)]) == all(both)
+def test_a_flag_holds_where_both_that_it_stands_for_hold():
+    """Both QPs are solved, or both entries of a measurement are taken."""
+    row_of = row_of_log(4, has_yaw_drift=False)
+    for flags in itertools.product((0, 1), repeat=6):
+        row = row_of(ok_rhe=flags[0], ok_rhc=flags[1], accepted=flags[2:])["row"]
+        found = dict(zip(columns.COLUMNS, row.full().ravel()))
+        expected = [min(flags[place : place + 2]) for place in (0, 2, 4)]
+        assert [found[name] for name in ("ok", *columns.GATE[:2])] == expected
 
 
 def test_every_metric_is_documented_in_the_words_of_a_notebook(run):

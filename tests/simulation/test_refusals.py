@@ -79,6 +79,7 @@ CONTROLLERS = [
     ((step_in_python(),), "step was …; it should be made of what CasADi can store"),
     ((step_of({}, COMMAND), 1.0), f"memory was 1.0{FINITE}"),
     ((step_of({}, COMMAND), (np.nan,)), f"memory was (nan,){FINITE}"),
+    ((step_of({}, COMMAND), ("a",)), f"memory was ('a',){FINITE}"),
     ((step_of({}, {}),), "step has no result 'command'; it should have one"),
     ((step_of({}, dict(command=(2, 1))),), "step has the result 'command' of shape (2, 1); "),
     ((step_of({}, COMMAND), (0.0, 0.0)), "step has no input 'memory'; for a first memory of 2 "),

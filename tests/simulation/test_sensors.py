@@ -108,3 +108,12 @@ def test_yaw_and_drive_are_better_with_a_gyro_still_better_with_a_heading_and_be
         errors.append([(run["rms_yaw_rad"], run["mean_error_true_m"]) for run in runs])
     none, gyro, heading, both = np.mean(errors, axis=1)
     assert (gyro < 0.75 * none).all() and (heading < gyro).all() and (both < heading).all()
+
+
+@pytest.mark.parametrize("missing", [np.nan, np.inf])
+def test_a_first_heading_that_is_missing_is_none(missing):
+    """The estimate then begins as that of a robot without one."""
+    plain, with_heading = (rhec.RHE(sensors=sensors) for sensors in ((), ("heading",)))
+    expected = plain.feedback((1.0, 2.0, 0.5, 0.1))
+    found = with_heading.feedback((1.0, 2.0, 0.5, 0.1, missing))
+    np.testing.assert_allclose([*found.pose, *found.p], [*expected.pose, *expected.p], atol=1e-9)

@@ -48,9 +48,10 @@ def test_the_sample_before_is_an_estimator_that_tells_them_a_sample_later():
         assert np.abs(other - before).max() > 1e-4, timing
 
 
-@pytest.mark.parametrize("choice", [dict(traction_timing="prepared_anew"), {}])
-def test_a_missing_yaw_rate_is_the_last_command(choice):
+def test_a_missing_yaw_rate_is_the_last_command():
+    """A controller whose command follows from the desired yaw rate, here the measured one."""
+    u_ref = ca.SX.sym("u_ref", 1, 15)
+    step = ca.Function("half", [u_ref], [0.5 * u_ref[0] + 0.01], ["u_ref"], ["command"])
     fault = rhec.Fault(kind="missing", start_s=5.0, duration_s=3.0, channel="all")
-    log = rhec.simulate(rhec.Scenario(duration_s=20.0, faults=(fault,), **choice)).log
-    assert np.isfinite(log[[COMMAND, "x_hat_m", "kappa_hat"]]).all(axis=None)
-    assert log["ok"].all()
+    found = commands(controller=rhec.Controller(step), faults=(fault,)).to_numpy()
+    np.testing.assert_allclose(found[25:40], 0.5 * found[24:39] + 0.01)

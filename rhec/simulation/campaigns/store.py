@@ -177,7 +177,7 @@ def load_rows(folder, wanted=None):
     for file in sorted(folder.glob("*.parquet")):
         try:
             table = _read_table(file, wanted)
-        except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:
             reason = f"{type(error).__name__}: {shown(str(error))}"
             warnings.warn(
                 f"{file} cannot be read ({reason}), so its runs are repeated", stacklevel=3
@@ -194,8 +194,6 @@ def _read_table(file, wanted):
         raise OSError("it is no file")
     with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
         names = _schema().names
-        if missing := {*names} - {*parquet.schema_arrow.names}:
-            raise KeyError(f"no column {min(missing)}")
         if wanted is None:
             return parquet.read(names).cast(_schema())
         chosen = [key in wanted for key in parquet.read(["key"])["key"].to_pylist()]
