@@ -242,68 +242,58 @@ def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def taken_apart():
-    """The story's Functions, a setup, its estimator's first memory and some of its measurements."""
+def story():
+    """The story's Functions, what the page loads of them, and a drive with its setup."""
     scenario = rhec.Scenario(process_noise="prediction", duration_s=20.0)
-    setup = closed_loop.set_up(scenario)
-    run = rhec.simulate(scenario)
-    z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
-    pieces = setup.unpack(setup.memory)["estimator"].values()
-    memory = np.concatenate([np.ravel(piece, order="F") for piece in pieces])
     tools = window.build_tools(scenario)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wasm, "module_of", lambda text: b"")
+        patch.setattr(window, "build_tools", lambda scenario: tools)
+        made = page._tools()
+    setup, run = closed_loop.set_up(scenario), rhec.simulate(scenario)
+    z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
     # The memory of the check of positions follows.
-    return tools, setup, memory[: tools["shift"].size1_in("memory")], z, run
+    memory = setup.memory[made["first"] :][: tools["shift"].size1_in("memory")]
+    return SimpleNamespace(tools=tools, made=made, setup=setup, memory=memory, z=z, run=run)
 
 
-def test_the_story_finds_the_window_in_the_loops_memory(taken_apart, monkeypatch):
-    monkeypatch.setattr(wasm, "module_of", lambda text: b"")
-    built, setup, memory, *_ = taken_apart
-    monkeypatch.setattr(window, "build_tools", lambda scenario: built)
-    tools = page._tools()
-    np.testing.assert_array_equal(setup.memory[tools["first"] :][: len(memory)], memory)
-    pieces = setup.unpack(setup.memory)["estimator"]
-    for name, places in tools["places"].items():
-        np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
-    np.testing.assert_array_equal(tools["P_0"], setup.settings["P_0"])
-
-
-def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):
+def test_shift_and_solve_are_a_sample_of_the_rhe(story):
     """Their estimates are those of the run; without bounds they may leave 0 to 1."""
-    tools, setup, memory, z, run = taken_apart
-    V, W, P_0 = (setup.settings[name] for name in ("V", "W", "P_0"))
+    tools, memory = story.tools, story.memory
+    pieces = story.setup.unpack(story.setup.memory)["estimator"]
+    for name, places in story.made["places"].items():
+        np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
+    given = dict(V=story.setup.settings["V"], P_0=story.made["P_0"])
     beyond = 0
-    for k, z_N in enumerate(z):
-        shifted = tools["shift"](memory=memory, V=V, W=W)["memory"]
-        found = tools["solve"](memory=shifted, z_N=z_N, V=V, P_0=P_0)
-        free = tools["free"](memory=shifted, z_N=z_N, V=V, P_0=P_0)["estimate"].full().ravel()
-        memory = found["memory"]
-        estimate = found["estimate"].full().ravel()
-        np.testing.assert_allclose(estimate, [run.columns[name][k] for name in ESTIMATE], atol=1e-9)
+    for k, z_N in enumerate(story.z):
+        memory = tools["shift"](memory=memory, V=given["V"], W=story.setup.settings["W"])["memory"]
+        free = tools["free"](memory=memory, z_N=z_N, **given)["estimate"].full().ravel()
+        found = tools["solve"](memory=memory, z_N=z_N, **given)
+        memory, estimate = found["memory"], found["estimate"].full().ravel()
+        expected = [story.run.columns[name][k] for name in ESTIMATE]
+        np.testing.assert_allclose(estimate, expected, atol=1e-9)
         beyond += free[5] > 1 + 1e-6
         if np.all((free[4:] > 0) & (free[4:] < 1)):
             np.testing.assert_allclose(free, estimate, atol=1e-12)
-    assert 0 < beyond < len(z)
+    assert 0 < beyond < len(story.z)
 
 
-def test_the_storys_other_filters_begin_at_the_loops_guess(taken_apart):
+def test_the_storys_other_filters_begin_at_the_loops_guess(story):
     """The Kalman filter with the RHE's first covariance."""
-    tools, setup, *_ = taken_apart
     guess = np.arange(1.0, 7.0)
     found = window.first_memories(rhec.Scenario(), guess)
     for name, memory in found.items():
-        assert len(memory) == tools[name].size1_in("memory")
+        assert len(memory) == story.tools[name].size1_in("memory")
         assert np.isin(guess, memory).all()
-    P = found["kalman"][6:42].reshape(6, 6)
-    assert [*found["kalman"][:6]] == [*guess]
-    np.testing.assert_allclose(P, setup.unpack(setup.memory)["estimator"]["P"])
+    P = story.setup.unpack(story.setup.memory)["estimator"]["P"]
+    np.testing.assert_allclose(found["kalman"][:42], [*guess, *P.ravel()])
 
 
-def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path):
-    tools, setup, memory, z, _ = taken_apart
-    some = {name: tools[name] for name in ("shift", "reckon")}
+def test_the_storys_c_calls_the_function_that_is_asked_for(story, tmp_path):
+    some = {name: story.tools[name] for name in ("shift", "reckon")}
     library, array = compiled_text(window.c_text(some), tmp_path)
-    given = dict(memory=memory, pose=[1.0, 2.0, 0.3], z_N=z[3])
-    given |= {name: setup.settings[name] for name in ("V", "W")}
+    given = dict(memory=story.memory, pose=[1.0, 2.0, 0.3], z_N=story.z[3])
+    given |= {name: story.setup.settings[name] for name in ("V", "W")}
     for which, (name, function) in enumerate(some.items()):
         for of in function.name_in():
             array(f"{name}_{of}", function.nnz_in(of))[:] = given[of]
@@ -315,14 +305,14 @@ def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path
     assert library.run(len(some)) == 1
 
 
-def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):
+def test_dead_reckoning_takes_the_encoders_at_their_word(story):
     """A circle of one radius: speed over yaw rate."""
     pose = np.zeros(3)
     for _ in range(100):
-        pose = taken_apart[0]["reckon"](pose=pose, z_N=[9.0, 9.0, 0.5, 0.25])["pose"]
+        pose = story.tools["reckon"](pose=pose, z_N=[9.0, 9.0, 0.5, 0.25])["pose"]
     x, y, theta = pose.full().ravel()
-    assert theta == pytest.approx(0.25 * 20)
-    assert (x, y) == pytest.approx((2 * np.sin(theta), 2 - 2 * np.cos(theta)), abs=1e-6)
+    expected = 2 * np.sin(5), 2 - 2 * np.cos(5), 5
+    assert (x, y, theta) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves():
