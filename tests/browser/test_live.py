@@ -89,11 +89,22 @@ class Live:
             page.select_option("#window", "5 intervals")
         page.click("#patch")
         self.settled()
-        for slider in page.locator("#sliders input[type=range]:enabled").all():
+        before, moved = self.sliders(), set()
+        for i, slider in enumerate(page.locator("#sliders input[data-field]:enabled").all()):
             if chance.random() < share:
                 low, high = (float(slider.get_attribute(name)) for name in ("min", "max"))
-                self.move(slider, low + chance.random() * (high - low))
+                away = float(slider.input_value()) - low + (high - low) * chance.uniform(0.2, 0.8)
+                self.move(slider, low + away % (high - low))
+                moved.add(i)
         self.settled()
+        changes = {i for i, both in enumerate(zip(before, self.sliders())) if both[0] != both[1]}
+        assert changes == moved
+
+    def sliders(self):
+        """[what is moved, its place, kind, where the slider stands, what is said of it]."""
+        read = """all => all.map(({ dataset: { field, place, kind }, value, nextSibling }) =>
+            [field, place, kind, value, nextSibling.value])"""
+        return self.page.eval_on_selector_all("#sliders input:enabled[data-field]", read)
 
     def scenarios(self):
         """Those of the lines of Python."""
@@ -205,10 +216,13 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
     """Given the page's noise and soil, which are Python's in 16 bits."""
     page = live.scene(scene).page
     before = page.evaluate(PICTURES)
-    live.change(rule, turns, random.Random(scene), share)
+    live.change(rule, turns, random.Random(f"{scene} {rule}"), share)
     assert not {*before} & {*page.evaluate(PICTURES)}
     scenarios, marks = live.scenarios(), live.marks()
-    assert scenarios[0].turns == turns
+    chosen = dict(seed=7, turns=turns, estimation_horizon=5, faults=())
+    if scene == "faults":
+        chosen |= dict(estimation_horizon=15, faults=[*FAULTS.values()][3])
+    assert {name: getattr(scenarios[0], name) for name in chosen} == chosen
     assert (scenarios[0].process_noise or tuning.DEFAULT_RULE) == rule or share
     assert_soil_shown(marks["map"], scenarios[0])
     for i, row in enumerate(page.locator("#metrics tr:has(td)").all()):
@@ -234,23 +248,22 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
             np.testing.assert_array_equal(marks[picture].labelled(f"truth of {name}"), truth)
         np.testing.assert_array_equal(marks["map"].labelled(name), c["xy"])
         page.check(f"[name=run-{scene}][value='{i}']")
-        assert_sliders_show(page, scenarios[i])
+        assert_sliders_show(live, scenarios[i])
         live.settled()
     assert i + 1 == len(scenarios)
 
 
-def assert_sliders_show(page, scenario):
+def assert_sliders_show(live, scenario):
     """What the followed run has: its own values, those of its rule, and the last patch."""
-    read = (
-        "all => all.map(each => [each.dataset.field, each.dataset.place, each.nextSibling.value])"
-    )
-    shown = page.eval_on_selector_all("#sliders input:enabled[data-field]", read)
+    shown = live.sliders()
     assert len(shown) > 20
     assumed = tuning.noise_of(scenario.estimator, scenario)._asdict()
-    for field, place, text in shown:
+    for field, place, kind, stands, text in shown:
         values = scenario.patches[-1] if field == "patch" else getattr(scenario, field)
-        values = assumed[field] if values is None else values
-        assert float(text) == pytest.approx(np.ravel(values)[int(place or 0)], rel=0.01), field
+        value = np.ravel(assumed[field] if values is None else values)[int(place or 0)]
+        assert float(text) == pytest.approx(value, rel=0.01), field
+        value = np.log10(value) if kind == "log" else value
+        assert float(stands) == pytest.approx(value, abs=0.03, rel=0.01), field
 
 
 def assert_metrics_shown(cells, metrics):
