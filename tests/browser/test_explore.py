@@ -3,6 +3,7 @@ the page then shows; and its screen without a kernel. The live page draws with t
 """
 
 import base64
+import time
 
 import numpy as np
 import pytest
@@ -11,31 +12,6 @@ from drawn import NOTE, marks_on
 from rhec.explorer.panels import Mark, Panel, Picture, packed
 from rhec.explorer.screen import CSS, Screen
 
-# From here on the page counts the pictures that follow a change, and notes which messages the
-# kernel has not yet dealt with.
-WATCH = """() => {
-    window.painted = 0
-    window.unanswered = new Set()
-    const kernel = jupyterapp.shell.currentWidget.context.sessionContext.session.kernel
-    kernel.anyMessage.connect((_, { msg, direction }) => {
-        if (direction == 'send' && msg.channel == 'shell') unanswered.add(msg.header.msg_id)
-    })
-    kernel.iopubMessage.connect((_, msg) => {
-        if (msg.content.execution_state == 'idle') unanswered.delete(msg.parent_header.msg_id)
-    })
-    const note = () => setTimeout(() => painted++)
-    document.addEventListener('drawn', () => requestAnimationFrame(note))
-}"""
-# The kernel has dealt with all that the page sent, and no more comes for a while: a slider sends
-# its next value after the reply to the last one.
-QUIET = """async () => {
-    let since = performance.now()
-    while (performance.now() - since < 400) {
-        if (unanswered.size) since = performance.now()
-        await new Promise(done => setTimeout(done, 20))
-    }
-}"""
-
 
 class Explorer:
     """What a user does with the page, and sees on it."""
@@ -43,7 +19,6 @@ class Explorer:
     def __init__(self, page):
         self.page = page
         page.evaluate("document.querySelector('.rhec').scrollIntoView()")
-        page.evaluate(WATCH)
 
     def shown(self):
         """Pictures, metrics and the line of Python."""
@@ -60,13 +35,13 @@ class Explorer:
             mouse.move(box["x"] + (0.3 + 0.02 * step) * box["width"], y)
             self.page.wait_for_timeout(16)
         mouse.up()
-        self.settled()
 
-    def settled(self):
-        """Wait until a picture has come and no more do."""
-        self.page.wait_for_function("painted")
-        self.page.evaluate(QUIET)
-        self.page.evaluate("painted = 0")
+    def until(self, is_so):
+        """Wait until a function of what is shown is true."""
+        end = time.monotonic() + 180
+        while not is_so(*self.shown()):
+            assert time.monotonic() < end, self.shown()[1:]
+            self.page.wait_for_timeout(100)
 
 
 @pytest.fixture(scope="module")
@@ -93,17 +68,20 @@ def test_a_dragged_slider_drives_the_field_again_and_a_click_copies_the_setting(
     label = page.get_by_text("speed [m/s]", exact=True)
     slider = page.locator(".rhec .widget-slider:visible", has=label)
     explorer.drag(slider)
-    pictures, metrics, line = explorer.shown()
     speed_mps = float(slider.locator(".widget-readout").inner_text())
-    assert f"speed_mps={speed_mps!r}" in line and "speed_mps" not in before[2]
-    assert pictures != before[0]
-    assert all(now != then for now, then in zip(metrics, before[1]))
+    assert "speed_mps" not in before[2]
+    explorer.until(
+        lambda pictures, metrics, line: (
+            f"speed_mps={speed_mps!r}" in line
+            and pictures != before[0]
+            and all(now != then for now, then in zip(metrics, before[1]))
+        )
+    )
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.locator(".rhec-line").click()
-    assert page.evaluate("navigator.clipboard.readText()") == line
+    assert page.evaluate("navigator.clipboard.readText()") == explorer.shown()[2]
     page.locator(".rhec").get_by_role("button", name="reset", exact=True).click()
-    explorer.settled()
-    assert explorer.shown() == before
+    explorer.until(lambda *shown: shown == before)
 
 
 # The screen without a kernel
