@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from drawn import NOTE, marks_on
+from drawn import NOTE, marks_on, place_on
 
 from rhec.explorer.panels import Mark, Panel, Picture, packed
 from rhec.explorer.screen import CSS, Screen
@@ -109,11 +109,10 @@ TICKS = """title => {
         [number(text), px, py - 4, ...plot.data({ offsetX: px, offsetY: py - 4 })]
     return [plot.box, ticks.filter(([text]) => /\\d/.test(text)).map(read)]
 }"""
-# What stands above a picture, seen from it.
+# What is seen above the pictures.
 PLACES = """all => all.filter(each => each.checkVisibility()).map(each => {
-    const { x, y } = each.parentElement.querySelector("canvas").getBoundingClientRect()
-    const place = each.getBoundingClientRect()
-    return [place.x - x, place.y - y, place.width, place.height]
+    const { x, y, width, height } = each.getBoundingClientRect()
+    return [x, y, width, height]
 })"""
 K = np.arange(11.0)
 SOIL = np.linspace(0.5, 1, 12).reshape(4, 3)
@@ -145,14 +144,8 @@ class Pictures:
     def __init__(self, page):
         self.page = page
 
-    def px(self, title, x, y):
-        """Of a place of the axes, seen from the picture."""
-        place = "([title, x, y]) => [seen[title].plot.x(x), seen[title].plot.y(y)]"
-        return np.array(self.page.evaluate(place, [title, x, y]))
-
     def at(self, title, x, y):
-        box = self.page.locator(f"canvas[aria-label={title}]").bounding_box()
-        return [box["x"], box["y"]] + self.px(title, x, y)
+        return place_on(self.page, title, x, y)
 
     def drawn(self):
         """{picture: [(kind, what a pointer calls it)]}."""
@@ -303,12 +296,10 @@ def test_a_pointer_shows_the_values_of_its_sample(screen):
         said = [f"{k}.0 s · RHE {0.15 + k / 10:.3g}", f"{k}.0 s · {speeds[k]}", f"way {k}, {k}"]
         assert words.all_inner_texts()[1:] == said
     # The cursor stands at the sample, in a picture over time from top to bottom.
-    for cursor, title, top in zip(
-        page.eval_on_selector_all(".view-cursor.over-time", PLACES), ("error", "speed"), (2, 1)
-    ):
-        (x, y), (_, bottom) = screen.px(title, 7, top), screen.px(title, 7, (0.1, 0)[top == 1])
-        assert cursor[0] + cursor[2] / 2 == pytest.approx(x, abs=1)
-        assert (cursor[1], cursor[3]) == pytest.approx((y, bottom - y), abs=1)
+    cursors = page.eval_on_selector_all(".view-cursor.over-time", PLACES)
+    for (x, y, width, height), title, ends in zip(cursors, ("error", "speed"), ((0.1, 2), (0, 1))):
+        low, high = (screen.at(title, 7, end) for end in ends)
+        assert (x + width / 2, y, y + height) == pytest.approx((*high, low[1]), abs=1)
     page.mouse.move(600, 760)
     assert not any(each.is_visible() for each in words.all())
 
@@ -338,9 +329,9 @@ def test_a_pointer_zooms_and_moves_within_the_whole(screen):
     assert not screen.drag("map", (6, 8), (2, 3), "right")
     limits_are()
     # A box is what is seen next; a flat one chooses times alone, and a narrow one is not meant.
-    corners = screen.px("map", 2, 8), screen.px("map", 6, 3)
+    first, last = screen.at("map", 2, 8), screen.at("map", 6, 3)
     (box,) = screen.drag("map", (6, 8), (2, 3))
-    np.testing.assert_allclose(box, [*corners[0], *np.subtract(*corners[::-1])], atol=2)
+    np.testing.assert_allclose(box, [*first, *np.subtract(last, first)], atol=2)
     screen.drag("speed", (3, 0.52), (8, 0.5))
     screen.drag("map", (5, 7), (4.97, 4))
     limits_are(time=(3, 8), map=[(2, 6), (3, 8)])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drawn import NOTE, floats, marks_on
+from drawn import NOTE, floats, marks_on, place_on
 from helpers import LIVE_PAGE, needs_live_page, wait_until
 
 import rhec
@@ -443,16 +443,14 @@ def test_a_leaf_is_touched_once_the_robot_has_covered_its_tip(drive):
 def test_a_pointer_on_a_picture_moves_what_it_holds(live):
     page = live.scene("a").page
 
-    def px(place, canvas="map"):
-        box = page.locator(f"#{canvas}").bounding_box()
-        plot = f"page.views.all.get(document.getElementById('{canvas}')).plot"
-        x, y = page.evaluate(f"([x, y]) => [{plot}.x(x), {plot}.y(y)]", place)
-        return box["x"] + x, box["y"] + y
+    def px(place, picture="map"):
+        return place_on(page, picture, *place)
 
     def drag(start, end):
-        page.mouse.move(*px(start))
+        begin, to = px(start), px(end)
+        page.mouse.move(*begin)
         page.mouse.down()
-        page.mouse.move(*px(end), steps=2)
+        page.mouse.move(*to, steps=2)
         page.mouse.up()
         live.settled()
         return live.scenarios()[0]
