@@ -210,7 +210,7 @@ def test_the_scenes_are_those_of_their_words():
         said = re.findall(r"fails at (\d+) s", scene["about"])
         assert [float(number) for number in said] == [start_s] * len(said), name
         usual = vars(rhec.Scenario()) | rhe | dict(duration_s=scene["duration_s"])
-        assert {key: usual[key] for key in scene["values"]} == scene["values"]
+        assert scene["values"] == {key: usual[key] for key in page._FIELDS}
         assert scene["duration_s"] > scene["time_s"]
     assert world["robot_m"] == (paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M)
     assert world["default_rule"] == tuning.process_noise_of(rhec.Scenario())
@@ -230,15 +230,18 @@ def test_without_a_compiler_the_page_is_left_out_and_the_report_says_so(monkeypa
 
 
 def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
-    def command_as_module(command, _):
-        Path(command[command.index("-o") + 1]).write_text("\n".join(command))
+    def command_as_module(command, sources):
+        code = (Path(sources) / "code.c").read_text()
+        Path(command[command.index("-o") + 1]).write_text("\n".join([*command, code]))
 
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(compiled, "run_compiler", command_as_module)
     monkeypatch.setattr(wasm, "find_spec", lambda name: SimpleNamespace(origin=name))
     text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
-    exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
+    made = wasm.module_of(text).decode()
+    exported = re.findall(r"--export=(\w+)$", made, re.M)
     assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
+    assert made.endswith(text)
 
 
 @pytest.fixture(scope="module")
