@@ -27,7 +27,6 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.references import padded_segments
 
 START = dict(start_offset_m=-0.8, start_yaw_rad=0.5, guess_yaw_rad=0.1, speed_mps=0.6)
-GAP = (rhec.Fault(kind="missing", start_s=30.0, duration_s=4.0),)
 
 
 def unpack(text, kind):
@@ -62,27 +61,28 @@ def soil_of(world, data, scenario, kind):
 
 
 @pytest.mark.parametrize(
-    "name, kind, turns, seed",
-    [("rhe_5", "soft", "left", 4), ("ekf_faulty", "default", "alternate", 9)],
+    "name, kind, turns, seed, fault",
+    [
+        ("rhe_faulty", "soft", "left", 4, "positions 2 m off for 10 s"),
+        ("ekf_faulty", "default", "alternate", 9, "no GNSS for 5 s"),
+    ],
 )
 def test_what_the_page_loads_drives_as_simulate_does(
-    name, kind, turns, seed, monkeypatch, tmp_path
+    name, kind, turns, seed, fault, monkeypatch, tmp_path
 ):
     """To what 16 bits of noise and soil leave; here Python fills the arrays, as scripts do."""
     monkeypatch.setattr(wasm, "module_of", str.encode)
     world, data = page._world(), page.seed_data(seed)
     made = json.loads(json.dumps(page._module(page.STRUCTURES[name]), allow_nan=False))
-    fault, rule = [*page.FAULTS][-1], "consistent"
+    rule = "consistent"
     own = made["line"] | START | page.SOILS[kind] | dict(turns=turns, seed=seed)
-    faults = eval(world["faults"][fault], dict(rhec=rhec)) if made["faulty"] else ()
+    faults = eval(world["faults"][fault], dict(rhec=rhec))
     scenario = rhec.Scenario(**own, faults=faults, process_noise=rule, duration_s=60.0)
     run = rhec.simulate(scenario)
     n, field = len(run.log), world["fields"][turns]
     noise = world["noise"]["step"] * unpack(data["noise"], np.int16)
-    noise = noise.reshape(-1, world["noise"]["n"])
-    if made["faulty"]:
-        stream = unpack(data["faults"][fault], float).reshape(-1, world["n_fault"])
-        noise = np.hstack([noise, stream])
+    stream = unpack(data["faults"][fault], float).reshape(-1, world["n_fault"])
+    noise = np.hstack([noise.reshape(-1, world["noise"]["n"]), stream])
     slip, corner = soil_of(world, data, scenario, kind)
     slopes = [START[of] * np.array(slope) for of, slope in made["directions"].items()]
     given = made["settings"] | {of: own[of] for of in made["settings"] if of in own}
@@ -111,7 +111,8 @@ def test_what_the_page_loads_drives_as_simulate_does(
     for of, places in made["places"].items():
         np.testing.assert_array_equal(setup.memory[places], np.atleast_2d(pieces[of].T), of)
     assert len(made["places"]) == (1 if scenario.estimator == "ekf" else 4)
-    assert {*made["noises"]} == {*page.RULES} and len(made["states"]) == len(setup.settings["W"])
+    assert made["faulty"] and {*made["noises"]} == {*page.RULES}
+    assert len(made["states"]) == len(setup.settings["W"])
     # There is room for the longest run; the memory has one entry more, the first.
     room = dict(re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M))
     longest = world["max_samples"]
