@@ -229,6 +229,8 @@ def test_what_is_new_is_shown_and_what_is_not_stays_as_it_is(screen):
     page.evaluate("canvas = document.querySelector('canvas')")
     page.evaluate("state.status = 'busy', state.line = 'new', state.table = 'no', told()")
     assert words.all_inner_texts() == ["busy", "new", "no"]
+    page.evaluate("state.picture.panels.a.title = 'soil', told()")
+    assert page.locator("figcaption").all_inner_texts() == ["soil", "error", "speed", "map"]
     assert page.evaluate("canvas.isConnected")
     page.evaluate("document.body.style.setProperty('--jp-ui-font-color1', 'lime')")
     page.evaluate("document.body.dataset.jpThemeName = 'of lime'")
@@ -236,9 +238,7 @@ def test_what_is_new_is_shown_and_what_is_not_stays_as_it_is(screen):
         const { plot } = seen.map
         return plot.c.getImageData(plot.x(3), plot.y(3), 1, 1).data[1] > 200
     }""")
-    page.evaluate("state.picture.layout = ['a', 'b', 'c', 'd']")
-    page.evaluate("state.picture.panels.a.title = 'soil', told()")
-    assert page.locator("figcaption").all_inner_texts() == ["soil", "error", "speed", "map"]
+    page.evaluate("state.picture.layout = ['a', 'b', 'c', 'd'], told()")
     places = [canvas.bounding_box() for canvas in page.locator("canvas").all()]
     assert places[0]["x"] == places[1]["x"] and places[0]["y"] < places[1]["y"]
 
