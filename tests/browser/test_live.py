@@ -410,6 +410,9 @@ def test_the_robot_in_its_row_is_seen_along_the_path(drive, k):
         ([head[1] for head in arrows[1::2]], [placed(pose, slip[1]) for slip in slips]),
     ):
         np.testing.assert_allclose(found, expected, atol=NEAR_M)
+    rings = np.concatenate(near.of("dots", "--ink")[:2])
+    commanded = np.hypot(*(rings - np.mean(near.of("area", "--ink"), axis=1)).T)
+    np.testing.assert_allclose(commanded, [slip[0][0] for slip in slips])
     assert len(window) == min(k + 1, 16)
     assert_ellipse(ellipse, see(estimate), turn.T @ P[:2, :2] @ turn)
     edges = corridor @ turn.T + eye[:2]
