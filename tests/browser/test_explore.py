@@ -13,75 +13,62 @@ from rhec.explorer.panels import Mark, Panel, Picture, packed
 from rhec.explorer.screen import CSS, Screen
 
 
-class Explorer:
-    """What a user does with the page, and sees on it."""
-
-    def __init__(self, page):
-        self.page = page
-        page.evaluate("document.querySelector('.rhec').scrollIntoView()")
-
-    def shown(self):
-        """Pictures, metrics and the line of Python."""
-        pictures = "[...document.querySelectorAll('.rhec-canvas')].map(each => each.toDataURL())"
-        metrics = self.page.locator(".rhec-table tr").all_inner_texts()[1:]
-        return self.page.evaluate(pictures), metrics, self.page.inner_text(".rhec-line")
-
-    def drag(self, slider):
-        box = slider.locator(".noUi-target").bounding_box()
-        mouse, y = self.page.mouse, box["y"] + box["height"] / 2
-        mouse.move(box["x"] + 0.3 * box["width"], y)
-        mouse.down()
-        for step in range(20):
-            mouse.move(box["x"] + (0.3 + 0.02 * step) * box["width"], y)
-            self.page.wait_for_timeout(16)
-        mouse.up()
-
-    def until(self, is_so):
-        """Wait until a function of what is shown is true."""
-        end = time.monotonic() + 180
-        while not is_so(*self.shown()):
-            assert time.monotonic() < end, self.shown()[1:]
-            self.page.wait_for_timeout(100)
+def shown(page):
+    """Pictures, metrics and the line of Python."""
+    pictures = "[...document.querySelectorAll('.rhec-canvas')].map(each => each.toDataURL())"
+    metrics = page.locator(".rhec-table tr").all_inner_texts()[1:]
+    return page.evaluate(pictures), metrics, page.inner_text(".rhec-line")
 
 
-@pytest.fixture(scope="module")
-def explorer(lab, open_page):
-    with open_page() as page:
-        lab.open(page, "00_start.ipynb")
-        lab.run(page)
-        page.wait_for_selector(".rhec-canvas")
-        yield Explorer(page)
-        for output in lab.outputs(page):  # the first compile says so on stderr
-            assert output["output_type"] != "error"
-            assert "Error" not in "".join(output.get("text", ""))
-        lab.close(page)
+def wait_until_shown(page, is_so):
+    """Wait until a function of what is shown is true."""
+    end = time.monotonic() + 180
+    while not is_so(*shown(page)):
+        assert time.monotonic() < end, shown(page)[1:]
+        page.wait_for_timeout(100)
 
 
-def test_a_dragged_slider_drives_the_field_again_and_a_click_copies_the_setting(explorer):
-    page, before = explorer.page, explorer.shown()
+def test_a_dragged_slider_drives_the_field_again_and_a_click_copies_the_setting(lab, page):
+    lab.open(page, "00_start.ipynb")
+    lab.run(page)
+    page.wait_for_selector(".rhec-canvas")
+    wait_until_shown(page, lambda pictures, metrics, _: len({*pictures}) == 6 and len(metrics) == 2)
     own, notebook = (
         page.locator(name).bounding_box() for name in (".rhec", ".jp-NotebookPanel-notebook")
     )
     assert own["width"] <= notebook["width"] and own["height"] <= notebook["height"]
-    assert len(before[1]) == 2 and len({*before[0]}) == 6
+    before = shown(page)
     page.locator(".rhec .lm-TabBar-tab", has_text="Drive").click()
     label = page.get_by_text("speed [m/s]", exact=True)
     slider = page.locator(".rhec .widget-slider:visible", has=label)
-    explorer.drag(slider)
+    slider.scroll_into_view_if_needed()
+    box = slider.locator(".noUi-target").bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.3 * box["width"], y)
+    page.mouse.down()
+    for step in range(20):
+        page.mouse.move(box["x"] + (0.3 + 0.02 * step) * box["width"], y)
+        page.wait_for_timeout(16)
+    page.mouse.up()
     speed_mps = float(slider.locator(".widget-readout").inner_text())
     assert "speed_mps" not in before[2]
-    explorer.until(
+    wait_until_shown(
+        page,
         lambda pictures, metrics, line: (
             f"speed_mps={speed_mps!r}" in line
             and pictures != before[0]
             and all(now != then for now, then in zip(metrics, before[1]))
-        )
+        ),
     )
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.locator(".rhec-line").click()
-    assert page.evaluate("navigator.clipboard.readText()") == explorer.shown()[2]
+    assert page.evaluate("navigator.clipboard.readText()") == shown(page)[2]
     page.locator(".rhec").get_by_role("button", name="reset", exact=True).click()
-    explorer.until(lambda *shown: shown == before)
+    wait_until_shown(page, lambda *now: now == before)
+    for output in lab.outputs(page):  # the first compile says so on stderr
+        assert output["output_type"] != "error"
+        assert "Error" not in "".join(output.get("text", ""))
+    lab.close(page)
 
 
 # The screen without a kernel
