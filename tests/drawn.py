@@ -88,3 +88,15 @@ class Marks:
 def marks_on(page):
     """{picture: its Marks}, by the name of its canvas."""
     return {canvas: Marks(**seen) for canvas, seen in page.evaluate(SEEN).items()}
+
+
+PLACE = """([picture, x, y]) => {
+    const { plot } = seen[picture]
+    const box = plot.c.canvas.getBoundingClientRect()
+    return [box.x + plot.x(x), box.y + plot.y(y)]
+}"""
+
+
+def place_on(page, picture, x, y):
+    """Where (x, y) of a picture's axes is on the page [px]."""
+    return page.evaluate(PLACE, [picture, x, y])

@@ -36,27 +36,24 @@ LOCAL += ("file:", "data:", "blob:", "about:")
 
 
 @contextlib.contextmanager
-def watched_page(chromium, width=1366, height=768):
-    """An empty page, on a laptop's screen unless told. What its scripts throw and what it asks of
-    other machines fails the test.
+def watched_page(chromium):
+    """An empty page on a laptop's screen. What its scripts throw and what it asks of other machines
+    fails the test.
     """
-    page = chromium.new_page(viewport={"width": width, "height": height})
+    page = chromium.new_page(viewport={"width": 1366, "height": 768})
     page.set_default_timeout(browser.PATIENCE_MS)
-    thrown, outside = [], []
+    thrown, asked = [], []
     page.on("pageerror", lambda error: thrown.append(str(error)))
-    page.on(
-        "request",
-        lambda request: outside.append(request.url) if not request.url.startswith(LOCAL) else None,
-    )
+    page.on("request", lambda request: asked.append(request.url))
     yield page
     page.close()
     assert not thrown
-    assert not outside
+    assert not [url for url in asked if not url.startswith(LOCAL)]
 
 
 @pytest.fixture(scope="session")
 def open_page(chromium):
-    """A function that opens a watched page of the given width and height."""
+    """A function that opens a watched page."""
     return functools.partial(watched_page, chromium)
 
 

@@ -29,16 +29,12 @@ AXE = ROOT / "build/axe/node_modules/axe-core/axe.min.js"  # npm install --prefi
 def offline(page):
     """A page whose failed requests and console errors fail the test."""
     page.context.set_offline(True)
-    wrong = []
-    page.on("requestfailed", lambda request: wrong.append(request.url))
-    page.on(
-        "console",
-        lambda message: (
-            wrong.append(message.text) if message.type in ("error", "warning") else None
-        ),
-    )
+    failed, said = [], []
+    page.on("requestfailed", lambda request: failed.append(request.url))
+    page.on("console", lambda message: said.append((message.type, message.text)))
     yield page
-    assert not wrong
+    assert not failed
+    assert not [text for kind, text in said if kind in ("error", "warning")]
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,6 @@ from rhec.tracked_robot import tuning
 from rhec.tracked_robot.references import padded_segments
 
 START = dict(start_offset_m=-0.8, start_yaw_rad=0.5, guess_yaw_rad=0.1, speed_mps=0.6)
-GAP = (rhec.Fault(kind="missing", start_s=30.0, duration_s=4.0),)
 
 
 def unpack(text, kind):
@@ -62,27 +61,28 @@ def soil_of(world, data, scenario, kind):
 
 
 @pytest.mark.parametrize(
-    "name, kind, turns, seed",
-    [("rhe_5", "soft", "left", 4), ("ekf_faulty", "default", "alternate", 9)],
+    "name, kind, turns, seed, fault",
+    [
+        ("rhe_faulty", "soft", "left", 4, "positions 2 m off for 10 s"),
+        ("ekf_faulty", "default", "alternate", 9, "no GNSS for 5 s"),
+    ],
 )
 def test_what_the_page_loads_drives_as_simulate_does(
-    name, kind, turns, seed, monkeypatch, tmp_path
+    name, kind, turns, seed, fault, monkeypatch, tmp_path
 ):
     """To what 16 bits of noise and soil leave; here Python fills the arrays, as scripts do."""
     monkeypatch.setattr(wasm, "module_of", str.encode)
     world, data = page._world(), page.seed_data(seed)
     made = json.loads(json.dumps(page._module(page.STRUCTURES[name]), allow_nan=False))
-    fault, rule = [*page.FAULTS][-1], "consistent"
+    rule = "consistent"
     own = made["line"] | START | page.SOILS[kind] | dict(turns=turns, seed=seed)
-    faults = eval(world["faults"][fault], dict(rhec=rhec)) if made["faulty"] else ()
+    faults = eval(world["faults"][fault], dict(rhec=rhec))
     scenario = rhec.Scenario(**own, faults=faults, process_noise=rule, duration_s=60.0)
     run = rhec.simulate(scenario)
     n, field = len(run.log), world["fields"][turns]
     noise = world["noise"]["step"] * unpack(data["noise"], np.int16)
-    noise = noise.reshape(-1, world["noise"]["n"])
-    if made["faulty"]:
-        stream = unpack(data["faults"][fault], float).reshape(-1, world["n_fault"])
-        noise = np.hstack([noise, stream])
+    stream = unpack(data["faults"][fault], float).reshape(-1, world["n_fault"])
+    noise = np.hstack([noise.reshape(-1, world["noise"]["n"]), stream])
     slip, corner = soil_of(world, data, scenario, kind)
     slopes = [START[of] * np.array(slope) for of, slope in made["directions"].items()]
     given = made["settings"] | {of: own[of] for of in made["settings"] if of in own}
@@ -111,7 +111,8 @@ def test_what_the_page_loads_drives_as_simulate_does(
     for of, places in made["places"].items():
         np.testing.assert_array_equal(setup.memory[places], np.atleast_2d(pieces[of].T), of)
     assert len(made["places"]) == (1 if scenario.estimator == "ekf" else 4)
-    assert {*made["noises"]} == {*page.RULES} and len(made["states"]) == len(setup.settings["W"])
+    assert made["faulty"] and {*made["noises"]} == {*page.RULES}
+    assert len(made["states"]) == len(setup.settings["W"])
     # There is room for the longest run; the memory has one entry more, the first.
     room = dict(re.findall(r"^double at_(\w+)\[(\d+)\];", text, re.M))
     longest = world["max_samples"]
@@ -210,7 +211,7 @@ def test_the_scenes_are_those_of_their_words():
         said = re.findall(r"fails at (\d+) s", scene["about"])
         assert [float(number) for number in said] == [start_s] * len(said), name
         usual = vars(rhec.Scenario()) | rhe | dict(duration_s=scene["duration_s"])
-        assert {key: usual[key] for key in scene["values"]} == scene["values"]
+        assert scene["values"] == {key: usual[key] for key in page._FIELDS}
         assert scene["duration_s"] > scene["time_s"]
     assert world["robot_m"] == (paper.ROBOT_LENGTH_M, paper.ROBOT_WIDTH_M)
     assert world["default_rule"] == tuning.process_noise_of(rhec.Scenario())
@@ -230,80 +231,73 @@ def test_without_a_compiler_the_page_is_left_out_and_the_report_says_so(monkeypa
 
 
 def test_the_arrays_of_a_module_are_exported(monkeypatch, tmp_path):
-    def command_as_module(command, _):
-        Path(command[command.index("-o") + 1]).write_text("\n".join(command))
+    def command_as_module(command, sources):
+        code = (Path(sources) / "code.c").read_text()
+        Path(command[command.index("-o") + 1]).write_text("\n".join([*command, code]))
 
     monkeypatch.setenv("RHEC_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(compiled, "run_compiler", command_as_module)
     monkeypatch.setattr(wasm, "find_spec", lambda name: SimpleNamespace(origin=name))
     text = "double at_one[3];\nstatic double w[2];\ndouble at_two[1];\n"
-    exported = re.findall(r"--export=(\w+)$", wasm.module_of(text).decode(), re.M)
+    made = wasm.module_of(text).decode()
+    exported = re.findall(r"--export=(\w+)$", made, re.M)
     assert {"at_one", "at_two"} == {name for name in exported if name.startswith("at_")}
+    assert made.endswith(text)
 
 
 @pytest.fixture(scope="module")
-def taken_apart():
-    """The story's Functions, a setup, its estimator's first memory and some of its measurements."""
+def story():
+    """The story's Functions, what the page loads of them, and a drive with its setup."""
     scenario = rhec.Scenario(process_noise="prediction", duration_s=20.0)
-    setup = closed_loop.set_up(scenario)
-    run = rhec.simulate(scenario)
-    z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
-    pieces = setup.unpack(setup.memory)["estimator"].values()
-    memory = np.concatenate([np.ravel(piece, order="F") for piece in pieces])
     tools = window.build_tools(scenario)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wasm, "module_of", lambda text: b"")
+        patch.setattr(window, "build_tools", lambda scenario: tools)
+        made = page._tools()
+    setup, run = closed_loop.set_up(scenario), rhec.simulate(scenario)
+    z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
     # The memory of the check of positions follows.
-    return tools, setup, memory[: tools["shift"].size1_in("memory")], z, run
+    memory = setup.memory[made["first"] :][: tools["shift"].size1_in("memory")]
+    return SimpleNamespace(tools=tools, made=made, setup=setup, memory=memory, z=z, run=run)
 
 
-def test_the_story_finds_the_window_in_the_loops_memory(taken_apart, monkeypatch):
-    monkeypatch.setattr(wasm, "module_of", lambda text: b"")
-    built, setup, memory, *_ = taken_apart
-    monkeypatch.setattr(window, "build_tools", lambda scenario: built)
-    tools = page._tools()
-    np.testing.assert_array_equal(setup.memory[tools["first"] :][: len(memory)], memory)
-    pieces = setup.unpack(setup.memory)["estimator"]
-    for name, places in tools["places"].items():
-        np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
-    np.testing.assert_array_equal(tools["P_0"], setup.settings["P_0"])
-
-
-def test_shift_and_solve_are_a_sample_of_the_rhe(taken_apart):
+def test_shift_and_solve_are_a_sample_of_the_rhe(story):
     """Their estimates are those of the run; without bounds they may leave 0 to 1."""
-    tools, setup, memory, z, run = taken_apart
-    V, W, P_0 = (setup.settings[name] for name in ("V", "W", "P_0"))
+    tools, memory = story.tools, story.memory
+    pieces = story.setup.unpack(story.setup.memory)["estimator"]
+    for name, places in story.made["places"].items():
+        np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
+    given = dict(V=story.setup.settings["V"], P_0=story.made["P_0"])
     beyond = 0
-    for k, z_N in enumerate(z):
-        shifted = tools["shift"](memory=memory, V=V, W=W)["memory"]
-        found = tools["solve"](memory=shifted, z_N=z_N, V=V, P_0=P_0)
-        free = tools["free"](memory=shifted, z_N=z_N, V=V, P_0=P_0)["estimate"].full().ravel()
-        memory = found["memory"]
-        estimate = found["estimate"].full().ravel()
-        np.testing.assert_allclose(estimate, [run.columns[name][k] for name in ESTIMATE], atol=1e-9)
+    for k, z_N in enumerate(story.z):
+        memory = tools["shift"](memory=memory, V=given["V"], W=story.setup.settings["W"])["memory"]
+        free = tools["free"](memory=memory, z_N=z_N, **given)["estimate"].full().ravel()
+        found = tools["solve"](memory=memory, z_N=z_N, **given)
+        memory, estimate = found["memory"], found["estimate"].full().ravel()
+        expected = [story.run.columns[name][k] for name in ESTIMATE]
+        np.testing.assert_allclose(estimate, expected, atol=1e-9)
         beyond += free[5] > 1 + 1e-6
         if np.all((free[4:] > 0) & (free[4:] < 1)):
             np.testing.assert_allclose(free, estimate, atol=1e-12)
-    assert 0 < beyond < len(z)
+    assert 0 < beyond < len(story.z)
 
 
-def test_the_storys_other_filters_begin_at_the_loops_guess(taken_apart):
+def test_the_storys_other_filters_begin_at_the_loops_guess(story):
     """The Kalman filter with the RHE's first covariance."""
-    tools, setup, *_ = taken_apart
     guess = np.arange(1.0, 7.0)
     found = window.first_memories(rhec.Scenario(), guess)
     for name, memory in found.items():
-        assert len(memory) == tools[name].size1_in("memory")
+        assert len(memory) == story.tools[name].size1_in("memory")
         assert np.isin(guess, memory).all()
-    P = found["kalman"][6:42].reshape(6, 6)
-    assert [*found["kalman"][:6]] == [*guess]
-    np.testing.assert_allclose(P, setup.unpack(setup.memory)["estimator"]["P"])
+    P = story.setup.unpack(story.setup.memory)["estimator"]["P"]
+    np.testing.assert_allclose(found["kalman"][:42], [*guess, *P.ravel()])
 
 
-def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path):
-    tools, setup, memory, z, _ = taken_apart
-    some = {name: tools[name] for name in ("shift", "reckon")}
+def test_the_storys_c_calls_the_function_that_is_asked_for(story, tmp_path):
+    some = {name: story.tools[name] for name in ("shift", "reckon")}
     library, array = compiled_text(window.c_text(some), tmp_path)
-    given = dict(memory=memory, pose=[1.0, 2.0, 0.3], z_N=z[3])
-    given |= {name: setup.settings[name] for name in ("V", "W")}
+    given = dict(memory=story.memory, pose=[1.0, 2.0, 0.3], z_N=story.z[3])
+    given |= {name: story.setup.settings[name] for name in ("V", "W")}
     for which, (name, function) in enumerate(some.items()):
         for of in function.name_in():
             array(f"{name}_{of}", function.nnz_in(of))[:] = given[of]
@@ -315,14 +309,14 @@ def test_the_storys_c_calls_the_function_that_is_asked_for(taken_apart, tmp_path
     assert library.run(len(some)) == 1
 
 
-def test_dead_reckoning_takes_the_encoders_at_their_word(taken_apart):
+def test_dead_reckoning_takes_the_encoders_at_their_word(story):
     """A circle of one radius: speed over yaw rate."""
     pose = np.zeros(3)
     for _ in range(100):
-        pose = taken_apart[0]["reckon"](pose=pose, z_N=[9.0, 9.0, 0.5, 0.25])["pose"]
+        pose = story.tools["reckon"](pose=pose, z_N=[9.0, 9.0, 0.5, 0.25])["pose"]
     x, y, theta = pose.full().ravel()
-    assert theta == pytest.approx(0.25 * 20)
-    assert (x, y) == pytest.approx((2 * np.sin(theta), 2 - 2 * np.cos(theta)), abs=1e-6)
+    expected = 2 * np.sin(5), 2 - 2 * np.cos(5), 5
+    assert (x, y, theta) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_robot_in_the_middle_of_its_row_is_one_tolerance_away_from_the_leaves():
