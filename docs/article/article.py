@@ -7,18 +7,17 @@ figures/.
 import json
 import re
 import sys
-from pathlib import Path
 
 import pandas as pd
 import typst
 
 from notebooks.claims.summary import verdict_counts
+from notebooks.declared import ROOT
 from notebooks.further import unknowns
 from notebooks.studies import answer
 from notebooks.studies.tables import interval_texts
 from rhec import paper
 
-ROOT = Path(__file__).resolve().parents[2]
 _SOURCE = "docs/article/article.typ"
 
 

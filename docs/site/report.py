@@ -33,13 +33,13 @@ from docs.site import cards
 from docs.site.content_policy import with_policy
 from notebooks.captions import alternative_text, with_captions, without_links
 from notebooks.claims.rules import CLAIMS
+from notebooks.declared import ROOT
 from notebooks.parameter_table import parameters_of
 from notebooks.plots.claims import LOOKS, kind_of
 from notebooks.studies import answer, timing
 from notebooks.studies.tables import to_markdown
 from rhec import __version__, style
 
-ROOT = Path(__file__).resolve().parents[2]
 REPORT = ROOT / "build/report"
 _COPIED = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CITATION.cff", "LICENSE")
 _WIDGET = "application/vnd.jupyter.widget-view+json"

@@ -7,19 +7,18 @@ Each block stands between `<!-- results NAME -->` and `<!-- end -->`.
 
 import re
 import textwrap
-from pathlib import Path
 
 import pandas as pd
 
 from benchmark import tables as benchmark
 from notebooks.claims import summary
 from notebooks.claims.rules import CLAIMS
+from notebooks.declared import ROOT
 from notebooks.further import consistency, unknowns
 from notebooks.further.recorded import page as recorded
 from notebooks.studies import answer, calibration
 from notebooks.studies.tables import to_markdown
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     "README.md",
     "docs/results.md",

@@ -8,11 +8,11 @@ is the paper's 10.
 """
 
 from collections import Counter
-from pathlib import Path
 
 import pandas as pd
 
 from notebooks.claims.summary import by_condition, verdict_counts
+from notebooks.declared import ROOT
 from notebooks.studies.names import RULES, TURNS, noise_text
 from notebooks.studies.statistics import (
     CONDITIONS,
@@ -35,7 +35,7 @@ from notebooks.studies.tables import interval_text, three_digits, to_markdown, w
 from rhec import paper
 from rhec.tracked_robot import tuning
 
-RESULTS = Path(__file__).resolve().parents[2] / "data/results"
+RESULTS = ROOT / "data/results"
 LEDGER = "data/results/claims.csv"
 _RULES = {rule: RULES[rule] for rule in tuning.RULES_IN_DEFAULT_WORLD}
 _ERROR = "mean error, raw GNSS [m]"

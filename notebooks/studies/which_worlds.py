@@ -20,13 +20,13 @@ cores, and writes `data/prior_drives.parquet`, `data/posterior_worlds.csv` and
 
 import dataclasses
 import itertools
-import pathlib
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
+from notebooks.declared import ROOT
 from notebooks.studies import abc_regression
 from notebooks.studies.parallel import map_runs
 from notebooks.studies.statistics import share_interval
@@ -36,7 +36,7 @@ from rhec.simulation.metrics import SETTLING_SAMPLES
 from rhec.simulation.scenario import Scenario
 from rhec.tracked_robot.path import Path
 
-DATA = pathlib.Path(__file__).parents[2] / "data"
+DATA = ROOT / "data"
 PRIOR_DRIVES = DATA / "prior_drives.parquet"
 POSTERIOR_WORLDS = DATA / "posterior_worlds.csv"
 POSTERIOR_DRIVES = DATA / "posterior_drives.parquet"
