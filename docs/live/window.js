@@ -70,9 +70,9 @@ function costs_of(tools, memory, V) {
 // The same measurements for the RHE with one interval and for the EKF with the same six states:
 // [x, y, θ, ν, μ, κ] of each, by sample.
 function compare(loop, tools, bounds) {
-  const { P_0, first_memories: { shortest, kalman } } = tools.data;
+  const { P_0, first_memories } = tools.data;
   const one = bounds ? "shortest" : "shortest_free";
-  const memories = { [one]: shortest, kalman };
+  const memories = { ...first_memories };
   const settings = noises(loop);
   const step = (name, z_N, more) => {
     const found = call(tools, name, { memory: memories[name], z_N, ...settings, ...more });

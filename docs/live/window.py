@@ -103,17 +103,19 @@ def _build_reckon():
 
 
 def first_memories(scenario, guess):
-    """The memories of `shortest` and `kalman` before the first sample, {name: array}.
+    """The memories of both shortest windows and `kalman` before the first sample, {name: array}.
 
     `guess` is the loop's first guess of (x, y, θ, ν, μ, κ).
     """
-    window = _shortest(window_of(Choice.of(scenario)))
-    pieces = init(window, dict(zip(QUANTITIES, guess)))
-    packed = [np.ravel(pieces[name], order="F") for name in window.memory]
     P = np.diag(np.square([SIGMA_START[name] for name in QUANTITIES]))
-    return dict(
-        shortest=np.concatenate(packed), kalman=np.concatenate([guess, P.ravel(), np.zeros(2)])
-    )
+    memories = dict(kalman=np.concatenate([guess, P.ravel(), np.zeros(2)]))
+    bounded = window_of(Choice.of(scenario))
+    for name, window in dict(shortest=bounded, shortest_free=without_bounds(bounded)).items():
+        window = _shortest(window)
+        pieces = init(window, dict(zip(QUANTITIES, guess)))
+        packed = [np.ravel(pieces[piece], order="F") for piece in window.memory]
+        memories[name] = np.concatenate(packed)
+    return memories
 
 
 def c_text(functions):

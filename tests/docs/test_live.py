@@ -286,6 +286,9 @@ def test_the_storys_other_filters_begin_at_the_loops_guess(story):
     """The Kalman filter with the RHE's first covariance."""
     guess = np.arange(1.0, 7.0)
     found = window.first_memories(rhec.Scenario(), guess)
+    assert {*found} == {"shortest", "shortest_free", "kalman"}
+    # Both nodes of one interval and the arrival cost's mean are the guess.
+    assert [np.sum(memory == guess[-1]) for memory in found.values()] == [1, 3, 3]
     for name, memory in found.items():
         assert len(memory) == story.tools[name].size1_in("memory")
         assert np.isin(guess, memory).all()

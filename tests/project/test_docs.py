@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from helpers import no_compiler
+from helpers import NOTEBOOKS, no_compiler
 
 import rhec
 from docs.site import results
@@ -20,7 +20,6 @@ ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
-NOTEBOOKS = sorted((ROOT / "notebooks").rglob("*.ipynb"))
 # By make, not there in a fresh clone; and pages of the site, whose links its own tests follow.
 MADE = ("figures/", "build/", ".venv", "/")
 
