@@ -24,12 +24,13 @@ def test_its_memory_begins_with_the_first_guess_and_then_with_its_numbers():
     step = ca.Function("shows", [memory, z, V], [memory, estimate], *names)
     start = rhec.simulate(SHORT).columns
     for own, kappa in ((rhec.Estimator(step), 0.0), (rhec.Estimator(step, (0.7,)), 0.7)):
-        scenario = dataclasses.replace(SHORT, estimator=own, sigma_v=(0.5, 0.5, 0.1, 0.25))
+        fields = dict(sigma_v=(0.5, 0.5, 0.1, 0.25), guess_yaw_rad=0.25)
+        scenario = dataclasses.replace(SHORT, estimator=own, **fields)
         with no_compiler():
             log = rhec.simulate(scenario).columns
         assert log["kappa_hat"][-1] == kappa and set(log["mu_hat"]) == {0.25}
-        for hat, true in (("x_hat_m", "x_m"), ("y_hat_m", "y_m"), ("theta_hat_rad", "theta_rad")):
-            assert log[hat][-1] == start[true][0]
+        for name, off in (("x{}_m", 0), ("y{}_m", 0), ("theta{}_rad", 0.25)):
+            assert log[name.format("_hat")][-1] == start[name.format("")][0] + off
 
 
 def test_its_looks_change_no_run():
