@@ -77,6 +77,7 @@ def export(scenario: Any, folder: str | Path = FOLDER, *, estimator_only: bool =
     else:
         _check(scenario, estimator_only)
         texts = _of_scenario(scenario, estimator_only)
+    _refuse_folders(folder, texts)
     _write(folder, texts)
     return folder
 
@@ -224,6 +225,13 @@ def _has_other_files(folder):
     # The root of a file system may have a folder for what its repair finds.
     names = {file.name for file in folder.iterdir()} - {"lost+found"}
     return any(not name.startswith(UNFINISHED) for name in names)
+
+
+def _refuse_folders(folder, names):
+    """Refuse, before anything is replaced, a folder in which a file's name is that of a folder."""
+    for name in names:
+        if (folder / name).is_dir():
+            raise ValueError(f"folder was {str(folder)!r}, in which {name} is a folder, not a file")
 
 
 def _as_json(scenario):

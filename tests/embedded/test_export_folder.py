@@ -1,5 +1,6 @@
 """Where an export may go."""
 
+import re
 import resource
 
 import pytest
@@ -48,3 +49,14 @@ def test_a_disk_that_is_full_leaves_an_earlier_export_as_it_was(tmp_path, texts)
         resource.setrlimit(resource.RLIMIT_FSIZE, largest)
     assert (tmp_path / embedded._MARK).read_text() == "mark"
     assert {file.name for file in tmp_path.iterdir()} == {*texts}
+
+
+def test_a_folder_called_like_a_file_is_refused_before_anything_is_replaced(tmp_path, texts):
+    embedded.export(None, tmp_path)
+    (tmp_path / "README.txt").unlink()
+    (tmp_path / "README.txt").mkdir()
+    texts["rhec.c"] = "newer"
+    sentence = f"folder was {str(tmp_path)!r}, in which README.txt is a folder"
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        embedded.export(None, tmp_path)
+    assert (tmp_path / "rhec.c").read_text() == "code"
