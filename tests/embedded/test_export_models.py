@@ -108,6 +108,10 @@ def test_an_estimator_or_a_controller_alone_answers_as_in_python(make, tmp_path)
         name, other = other, name
     assert not hasattr(in_c.library, f"rhec_{other}")
     header = (tmp_path / "rhec" / "rhec_memory.h").read_text()
+    states = (part.stages if name == "control" else part).model.states
+    assert f"#define RHEC_STATES {len(states)} /* {', '.join(states)} */" in header
+    guessed = part.model.joint_names if name == "estimate" else ["unused"]
+    assert f"#define RHEC_GUESS {len(guessed)} /* {', '.join(guessed)} */" in header
     assert re.findall(r"RHEC_HORIZON (\d+) ", header) == [str(STAGES)] * (name == "control")
     flags = []
     for row in rows:
