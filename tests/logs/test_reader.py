@@ -76,6 +76,14 @@ def test_the_unit_of_the_time_is_found_and_told(tmp_path, name, of_seconds, told
     np.testing.assert_allclose(log["t_s"] - log["t_s"][0], T, atol=1e-6)
 
 
+@pytest.mark.parametrize("name, step_s", [("t_ms", 1e-3), ("t", 1.0)])
+def test_a_unit_in_the_name_tells_a_fast_log_from_a_slow_one(tmp_path, name, step_s):
+    rows = np.arange(len(LOG))
+    LOG.drop(columns="t_s").assign(**{name: rows}).to_csv(tmp_path / "log.csv", index=False)
+    log = rhec.logs.read(tmp_path / "log.csv")
+    np.testing.assert_allclose(log["t_s"], step_s * rows)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_a_table_with_too_many_values_is_refused(tmp_path, monkeypatch, suffix):
     """Of Parquet the columns of numbers count, and no words."""
@@ -284,8 +292,8 @@ def test_marks_of_thousands_are_read(tmp_path, row):
 
 
 def test_several_files_of_one_drive_are_put_together_by_their_clock(tmp_path):
-    """One in ISO 8601, one in ms since 1970, which begins 0.1 s later; none is asked for a name
-    that only the other has.
+    """One in ISO 8601, one in ms since 1970, which begins 0.1 s later, one in s; none is asked for a
+    name that only the other has.
     """
     (tmp_path / "gps.csv").write_text(
         "time,east,y_m\n2024-05-03T10:00:00Z,1,2\n2024-05-03T10:00:01Z,3,4\n"
@@ -293,7 +301,7 @@ def test_several_files_of_one_drive_are_put_together_by_their_clock(tmp_path):
     (tmp_path / "wheels.csv").write_text(
         "timestamp_ms,v,y_m\n1714730400100,5,0\n1714730400200,6,0\n"
     )
-    (tmp_path / "gyro.csv").write_text("# t_ms gyro_radps\n1714730400300 7\n1714730400400 8\n")
+    (tmp_path / "gyro.csv").write_text("# t_s gyro_radps\n1714730400.3 7\n1714730400.4 8\n")
     files = [tmp_path / name for name in ("gps.csv", "wheels.csv", "gyro.csv")]
     log = rhec.logs.read(files, columns=dict(x_m="east", speed_mps="v"))
     np.testing.assert_allclose(log["t_s"], [0.0, 0.1, 0.2, 0.3, 0.4, 1.0], atol=1e-6)
