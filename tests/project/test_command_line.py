@@ -76,7 +76,8 @@ def test_a_log_is_judged_as_in_python_and_all_of_it_is_written(capsys, log_file,
     assert (folder / "summary.txt").read_text("utf-8").startswith(str(expected))
     assert (folder / "C" / "search.c").is_file()
     said = judged.out.getvalue()
-    assert expected.verdict in said and "rows are read" in judged.err.getvalue()
+    assert said.startswith(str(expected)) and "rows are read" in judged.err.getvalue()
+    assert (folder / "robot.yaml").read_text("utf-8") == expected.yaml
     written = re.search(rf"^Written: {folder}/ \((.*)\)$", said, re.M)[1]
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     assert {*written.split(", ")} == {file for file in files if "C/" not in file} | {"C/README.txt"}
