@@ -6,7 +6,7 @@ The oracle is simulated: a robot whose velocity follows that of its tracks with 
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import may_be_unsure, recorded_log, warns_of_an_unknown_yaw
+from helpers import KAPPA, may_be_unsure, recorded_log, warns_of_an_unknown_yaw
 from scipy.signal import lfilter
 
 import rhec
@@ -75,6 +75,16 @@ def test_a_robot_that_does_not_slip_is_not_doubted(seed, noise_m, arm_m):
     good = yaw_error(result) < 0.2
     assert good.mean() > 0.95
     assert (result["sigma_theta_rad"][good] > UNSURE_RAD).mean() < 0.15
+    assert (result["sigma_by_course_rad"] == 0)[log["t_s"] > 30].mean() > 0.9
+
+
+def test_a_gyro_that_is_off_is_no_side_slip():
+    """By its bias and its scale, which are estimated."""
+    log = recorded_log(5.0, 120.0, noise_m=0.003, seed=1)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(len(log))
+    log["gyro_radps"] = 1.2 * KAPPA * log["yaw_rate_radps"] + 0.03 + noise
+    result = rhec.replay(log, smooth=False)
+    assert result["gyro_accepted"].mean() > 0.9
     assert (result["sigma_by_course_rad"] == 0)[log["t_s"] > 30].mean() > 0.9
 
 

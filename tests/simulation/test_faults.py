@@ -78,6 +78,9 @@ def test_some_faults_deliver_earlier_samples_or_none(kind):
         return np.where(order[:, None] == NAN, none, Z[np.maximum(order, 0)])
 
     np.testing.assert_allclose(arriving(fault)[DURING], expected(order), rtol=1e-15)
+    # A fault that begins a sample later does the same to the samples from there on.
+    later = np.where(order == NAN, NAN, order + 1)
+    np.testing.assert_allclose(arriving(fault, start_s=10.2)[51:61], expected(later), rtol=1e-15)
     # Before the first sample there is none: the first takes its place.
     order = np.where(order == NAN, NAN, np.maximum(order - 50, 0))
     early = arriving(fault, start_s=0.0)[:10]
