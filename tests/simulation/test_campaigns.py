@@ -427,7 +427,12 @@ def test_work_whose_workers_are_killed_again_and_again_is_done_in_the_same_call(
 
 SCRIPT = """
 import os, rhec
-table = rhec.campaign([rhec.Scenario(duration_s=2.0)] * 2, workers=2)
+class Own(rhec.Path):  # as a user writes it in a notebook
+    pass
+track = rhec.Path.racetrack(30.0, 7.8)
+path = Own(track.segments, track.length_m, True)
+scenarios = [rhec.Scenario(duration_s=2.0, seed=seed, path=path) for seed in range(2)]
+table = rhec.campaign(scenarios, workers=2)
 print(table["error"].tolist(), flush=True)
 os.kill(os.getpid(), 9)
 """
