@@ -596,6 +596,19 @@ def test_a_lost_robot_is_drawn():
     assert "never" in explorer.metrics_table([lost])
 
 
+def test_a_page_gets_the_numbers_of_a_picture_row_by_row():
+    picture = pictured(rhec.simulate(replace(SHORT, duration_s=4.0)))
+    content, numbers = packed(picture)
+    numbers = np.frombuffer(numbers, np.float32)
+    for name, panel in picture.panels.items():
+        for mark, described in zip(panel.marks, content["panels"][name]["marks"], strict=True):
+            for array, place in ((mark.x, "x"), (mark.y, "y"), (mark.traction, "traction")):
+                if array is not None:
+                    first, length = described[place]
+                    told = numbers[first : first + length].reshape(array.shape)
+                    np.testing.assert_array_equal(told, array.astype(np.float32))
+
+
 # What is taken away
 
 

@@ -227,6 +227,17 @@ def test_the_noise_of_an_odometry_is_that_of_its_slip():
         assert np.isfinite(slopes).all() == is_told
 
 
+def test_a_velocity_does_not_change_between_two_segments():
+    parts = []
+    for segment, speed_mps in enumerate((0.5, 1.5)):
+        part = pd.DataFrame(0.0, range(500), ["segment", *ESTIMATE, *LEVER_ARM, *MEASUREMENTS])
+        part["segment"] = segment
+        part[ESTIMATE[0]] = 0.2 * speed_mps * np.arange(500)
+        part[MEASUREMENTS[2]] = speed_mps
+        parts.append(part)
+    np.testing.assert_allclose(terms.noise(pd.concat(parts)).changes, 0, atol=1e-12)
+
+
 # How it was tested
 
 
