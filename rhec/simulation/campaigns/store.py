@@ -97,10 +97,12 @@ class Rows:
         return key in self._places
 
     def add(self, rows):
-        """Add {key: row}; a row that is there already is replaced."""
+        """Add {key: row}; a row that is there already is replaced.
+
+        Such a row is from a folder, in which there are only rows without errors.
+        """
         for key, row in rows.items():
             place = self._places.setdefault(key, len(self._places))
-            self._errors.pop(place, None)
             if row["error"]:
                 self._errors[place] = row["error"]
             begin = place * len(self._types)  # the end of the array, if the row is new
