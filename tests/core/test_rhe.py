@@ -100,3 +100,13 @@ def test_a_reading_that_cannot_be_is_a_missing_one(channel):
             np.testing.assert_array_equal(
                 np.append(one[:6], one.covariance), np.append(other[:6], other.covariance)
             )
+
+
+def test_where_positions_have_moved_for_good_traction_is_again_the_first_guess():
+    """The robot may have been carried to other soil."""
+    _, z = drive((0.0, 0.0, 0.0, 0.5, 0.6, 0.5), weaving_yaw_rates(12 * N))
+    z[-N:, 0] += 100.0
+    estimates = feed(rhec.RHE(guess=GUESS, process_noise="prediction"), z)
+    before, moved = estimates[-N - 1], estimates[-N + 3]
+    assert (before.mu, before.kappa) == pytest.approx((0.6, 0.5), abs=0.05)
+    assert (moved.mu, moved.kappa) == pytest.approx(GUESS[4:], abs=0.02)
