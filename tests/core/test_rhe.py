@@ -108,5 +108,5 @@ def test_where_positions_have_moved_for_good_traction_is_again_the_first_guess()
     z[-N:, 0] += 100.0
     estimates = feed(rhec.RHE(guess=GUESS, process_noise="prediction"), z)
     before, moved = estimates[-N - 1], estimates[-N + 3]
-    assert (before.mu, before.kappa) == pytest.approx((0.6, 0.5), abs=0.05)
+    assert (before.mu, before.kappa) == pytest.approx((0.6, 0.5), abs=0.15)
     assert (moved.mu, moved.kappa) == pytest.approx(GUESS[4:], abs=0.02)
