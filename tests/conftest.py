@@ -1,4 +1,5 @@
 import collections
+import gc
 import sys
 from pathlib import Path
 
@@ -41,6 +42,9 @@ def pytest_configure():
     none of these is found by whoever computes with the optimised ones.
     """
     compiled.FLAGS = (*compiled.FLAGS, "-O0")
+    # Tests, modules and CasADi's functions live as long as the session. To look for garbage among
+    # them as often as Python does takes a twentieth of the time.
+    gc.set_threshold(200_000, 20, 20)
     # `jsonschema` checks addresses by it, which no notebook has; its import takes two seconds.
     sys.modules.setdefault("rfc3987_syntax", None)
 
