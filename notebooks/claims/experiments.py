@@ -311,10 +311,10 @@ def kkt_tolerances(n=100):
     for speed, mu, kappa, offset in _draw_states(n):
         problem = ((0.0, offset, offset), (speed, mu, kappa), *_straight_ahead(speed, mu))
         row = {}
-        for place, count in {"linear_reported": 1, "linear_after_step": 2}.items():
+        for column, count in {"linear_reported": 1, "linear_after_step": 2}.items():
             controller.restart()
             controller.solve(*problem, count)
-            row[place] = controller.kkt
+            row[column] = controller.kkt
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -438,9 +438,14 @@ def read(file):
     """A table of `drive` from a file."""
     table = pd.read_parquet(file).astype(float)
     columns = pd.MultiIndex.from_tuples([name.split(".") for name in table.columns])
+    return _numbered(table.set_axis(columns, axis=1))
+
+
+def _numbered(table):
+    """A table of `drive` whose worlds follow one another, with their numbers from 0 on."""
     rows = np.arange(len(table))
     index = pd.MultiIndex.from_arrays([rows // FIELDS, rows % FIELDS], names=_INDEX)
-    return table.set_axis(columns, axis=1).set_index(index)
+    return table.set_index(index)
 
 
 def prior_drives():
@@ -884,7 +889,7 @@ def drive_round(unit, first_world):
         number = first_world + first
         tables.append(kept(drive(worlds, FIRST_SEED + FIELDS * number)))
         print(f"worlds {number} to {number + len(worlds) - 1}", flush=True)
-    return pd.concat(tables).astype(float)
+    return _numbered(pd.concat(tables).astype(float))
 
 
 def main():

@@ -121,6 +121,7 @@ def test_files_hold_what_the_code_drives(monkeypatch):
     now = which_worlds.drive_round(unit, first)
     then = stored.loc[first : first + 1]
     assert list(now.columns) == list(then.columns)
+    assert [*now.index] == [(0, 0), (0, 1), (1, 0), (1, 1)]
     np.testing.assert_allclose(now, then, rtol=2e-3)
 
 
