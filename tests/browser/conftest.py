@@ -42,7 +42,8 @@ def watched_page(chromium):
     """
     page = chromium.new_page(viewport={"width": 1366, "height": 768})
     page.set_default_timeout(browser.PATIENCE_MS)
-    thrown, asked = [], []
+    thrown = []
+    asked = []
     page.on("pageerror", lambda error: thrown.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
     yield page

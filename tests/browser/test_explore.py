@@ -182,7 +182,8 @@ def test_the_screen_draws_the_marks_of_a_picture_and_a_legend_hides_them(screen)
         (panel,) = [panel for panel in PANELS.values() if panel.title == title]
         for mark, (kind, _, _, points) in zip(panel.marks, seen.all, strict=True):
             assert kind == mark.kind
-            x, y = mark.x, mark.y
+            x = mark.x
+            y = mark.y
             if mark.traction is not None:
                 x, y = np.meshgrid(x, y, indexing="ij")
                 np.testing.assert_array_equal(points[:, 2], np.float32(mark.traction).ravel())
@@ -292,7 +293,8 @@ def test_a_pointer_shows_the_values_of_its_sample(screen):
 
 
 def test_a_pointer_zooms_and_moves_within_the_whole(screen):
-    page, whole = screen.page, dict(time=(0, 10), speed=(0, 1), map=[(0, 10), (0, 10)])
+    page = screen.page
+    whole = dict(time=(0, 10), speed=(0, 1), map=[(0, 10), (0, 10)])
 
     def limits_are(**changes):
         time, speed, of_map = (whole | changes).values()
@@ -305,7 +307,8 @@ def test_a_pointer_zooms_and_moves_within_the_whole(screen):
     # Around the pointer, in time in all pictures over time.
     screen.wheel("speed", 4, 0.25, -100)
     share = np.exp(-0.2)
-    time, speed = np.array([4 - 4 * share, 4 + 6 * share]), np.array([1 - share, 1 + 3 * share]) / 4
+    time = np.array([4 - 4 * share, 4 + 6 * share])
+    speed = np.array([1 - share, 1 + 3 * share]) / 4
     limits_are(time=time, speed=speed)
     page.keyboard.down("Shift")
     assert not screen.drag("speed", (5, 0.5), (4, 0.4))
@@ -318,7 +321,8 @@ def test_a_pointer_zooms_and_moves_within_the_whole(screen):
     assert not screen.drag("map", (6, 8), (2, 3), "right")
     limits_are()
     # A box is what is seen next; a flat one chooses times alone, and a narrow one is not meant.
-    first, last = screen.at("map", 2, 8), screen.at("map", 6, 3)
+    first = screen.at("map", 2, 8)
+    last = screen.at("map", 6, 3)
     (box,) = screen.drag("map", (6, 8), (2, 3))
     np.testing.assert_allclose(box, [*first, *np.subtract(last, first)], atol=2)
     screen.drag("speed", (3, 0.52), (8, 0.5))

@@ -89,7 +89,8 @@ class Live:
             page.select_option("#window", "5 intervals")
         page.click("#patch")
         self.settled()
-        before, moved = self.sliders(), set()
+        before = self.sliders()
+        moved = set()
         for i, slider in enumerate(page.locator("#sliders input[data-field]:enabled").all()):
             if chance.random() < share:
                 low, high = (float(slider.get_attribute(name)) for name in ("min", "max"))
@@ -218,7 +219,8 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
     before = page.evaluate(PICTURES)
     live.change(rule, turns, random.Random(f"{scene} {rule}"), share)
     assert not {*before} & {*page.evaluate(PICTURES)}
-    scenarios, marks = live.scenarios(), live.marks()
+    scenarios = live.scenarios()
+    marks = live.marks()
     chosen = dict(seed=7, turns=turns, estimation_horizon=5, faults=())
     if scene == "faults":
         chosen |= dict(estimation_horizon=15, faults=[*FAULTS.values()][3])
@@ -228,7 +230,8 @@ def test_all_that_is_seen_is_the_run_of_the_line_of_python(live, scene, share, r
     for i, row in enumerate(page.locator("#metrics tr:has(td)").all()):
         loop = f"page.loops[{i}]"
         native = same_run_in_python(live, scenarios[i], loop)
-        c, noise = live.log(loop), live.noise(loop)
+        c = live.log(loop)
+        noise = live.noise(loop)
         drawn = plant.draw_noise(7, len(noise))
         np.testing.assert_allclose(noise[:, : drawn.shape[1]], drawn, atol=8 / 2**15 / 2)
         for name in COLUMNS:
@@ -321,10 +324,12 @@ def covariances(c, **noise):
 
 def test_bands_limits_and_the_moment_are_shown(drive):
     k = MOMENTS[-1]
-    c, marks = drive.c, drive.marks[k]
+    c = drive.c
+    marks = drive.marks[k]
     for i, name in ((4, "mu"), (5, "kappa")):
         (band,) = marks[name].of("area", "--run0")
-        estimate, half = c[f"{name}_hat"], 2 * np.sqrt(drive.P[:, i, i])
+        estimate = c[f"{name}_hat"]
+        half = 2 * np.sqrt(drive.P[:, i, i])
         up, down = (np.column_stack([c["time"], estimate + side * half]) for side in (1, -1))
         np.testing.assert_allclose(band, [*up, *down[::-1]], atol=1e-6)
     bounds = paper.OMEGA_MAX_RADPS, -paper.OMEGA_MAX_RADPS
@@ -362,13 +367,16 @@ def assert_ellipse(points, mean, P):
 
 @pytest.mark.parametrize("k", MOMENTS)
 def test_the_robot_in_its_row_is_seen_along_the_path(drive, k):
-    near, c, P = drive.marks[k]["near"], drive.c, drive.P[k]
+    near = drive.marks[k]["near"]
+    c = drive.c
+    P = drive.P[k]
     pose, estimate = ([c[name][k] for name in names] for names in (POSE, ESTIMATE))
     x, y, theta = PATH.poses([c["s_m"][k]])[0][0]
     left = seen_from([x, y, theta])(pose)[1]
     aside = left - np.clip(left, -0.25, 0.25)  # the picture moves with a robot that is far off
     eye = x - aside * np.sin(theta), y + aside * np.cos(theta), theta
-    see, turn = seen_from(eye), seen_from([0, 0, theta])(np.eye(2))
+    see = seen_from(eye)
+    turn = seen_from([0, 0, theta])(np.eye(2))
     reach_m = 3.2 * paper.SPEED_MPS + 0.7
     assert (near.low + near.high == pytest.approx((0, 0))) and near.high[0] >= reach_m
 
@@ -450,7 +458,8 @@ def test_a_pointer_on_a_picture_moves_what_it_holds(live):
         return place_on(page, picture, *place)
 
     def drag(start, end):
-        begin, to = px(start), px(end)
+        begin = px(start)
+        to = px(end)
         page.mouse.move(*begin)
         page.mouse.down()
         page.mouse.move(*to, steps=2)
@@ -588,7 +597,8 @@ def shown_by_encoders(live, c, time):
         way = nu * paper.DT_S * np.sinc(turn / 2 / np.pi)  # along the chord of an arc
         middle = poses[-1][2] + turn / 2
         poses.append(poses[-1] + [way * np.cos(middle), way * np.sin(middle), turn])
-    reckoned, driven = np.array(poses)[: k + 1, :2], c["xy"][: k + 1]
+    reckoned = np.array(poses)[: k + 1, :2]
+    driven = c["xy"][: k + 1]
     error = np.hypot(*(reckoned - driven)[-1])
     way = np.hypot(*np.diff(driven, axis=0).T).sum()
     numbers = dict(time=(time, 1), error=(error, 2), way=(way, 1))
@@ -691,7 +701,8 @@ def test_the_third_step_shows_the_window_of_the_public_rhe(live):
     """At 65 s, when a bound holds κ; and the costs of a fit by matrices."""
     k = 325
     live.set("window", "time", k * paper.DT_S)
-    c, marks = log_of_step(live, "window"), live.marks()
+    c = log_of_step(live, "window")
+    marks = live.marks()
     seen = live.page.evaluate(WINDOW, [k, True])
     rhe = rhec.RHE(process_noise="prediction", guess=GUESS)
     for z_N in c["z"][: k + 1]:
@@ -699,12 +710,14 @@ def test_the_third_step_shows_the_window_of_the_public_rhe(live):
         estimate = rhe.feedback(z_N)
     assert estimate.kappa == 1 and seen["free"][5] > 1.02
     last = slice(k - 15, k + 1)
-    z, fits = c["z"][last], rhe.x_window.T
+    z = c["z"][last]
+    fits = rhe.x_window.T
     v = [z[0, 3], *rhe.u_window.ravel()]  # that of the interval before the window has no cost
     fitted = np.column_stack([fits[:, :2], np.full(16, estimate.nu), v])
     half = ((z - fitted) / tuning.NOISES["rhe"]["prediction"].sigma_v) ** 2 / 2
     nodes = np.column_stack([half[:, 0] + half[:, 1], half[:, 2], half[:, 3]])
-    gap, P = [*fits[0], *estimate[3:6]] - np.array(seen["m"]), np.array(seen["P"])
+    gap = [*fits[0], *estimate[3:6]] - np.array(seen["m"])
+    P = np.array(seen["P"])
     costs = dict(nodes=nodes, arrival=gap @ np.linalg.solve(P, gap) / 2)
     sigma = np.sqrt(estimate.covariance[5, 5])
     seen |= dict(kappa=estimate.kappa, sigma=sigma, costs=costs)
@@ -729,7 +742,8 @@ def test_the_third_step_shows_the_window_of_the_public_rhe(live):
 
 
 def test_the_third_step_without_its_arrival_cost_and_phase_by_phase(live):
-    page, k = live.page, 250
+    page = live.page
+    k = 250
     live.set("window", "time", k * paper.DT_S)
     live.set("window", "arrival", False)
     seen = page.evaluate(WINDOW, [k, False])

@@ -29,7 +29,8 @@ AXE = ROOT / "build/axe/node_modules/axe-core/axe.min.js"  # npm install --prefi
 def offline(page):
     """A page whose failed requests and console errors fail the test."""
     page.context.set_offline(True)
-    failed, said = [], []
+    failed = []
+    said = []
     page.on("requestfailed", lambda request: failed.append(request.url))
     page.on("console", lambda message: said.append((message.type, message.text)))
     yield page
@@ -130,7 +131,8 @@ def shown(page):
 
 
 def test_claims_are_filtered_and_searched_and_a_link_shows_its_card(offline):
-    page, claims = offline, (REPORT / "claims.html").as_uri()
+    page = offline
+    claims = (REPORT / "claims.html").as_uri()
     page.goto(claims)
     every = shown(page)
     for controls, expected in (

@@ -69,7 +69,8 @@ def test_a_command_in_a_narrow_band_away_from_the_first_plan(width):
 
 
 def pole_on_a_cart(x, u, p):
-    sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+    sine = ca.sin(x[2])
+    cosine = ca.cos(x[2])
     force = u[0] + 0.1 * sine * (0.5 * x[3] ** 2 - 9.81 * cosine)
     acceleration = force / (1 + 0.1 * sine**2)
     return [x[1], acceleration, x[3], (9.81 * sine - acceleration * cosine) / 0.5]

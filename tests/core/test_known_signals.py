@@ -128,14 +128,16 @@ def test_a_missing_signal_is_the_last_one(make):
     z, known = drive(np.random.default_rng(4), 12)
     known[5:8, 0] = known[4, 0]
     known[6:9, 1] = known[5, 1]
-    told, held = make(), make()
+    told = make()
+    held = make()
     for k, (row, signals) in enumerate(zip(z, known)):
         given = by_name(signals)
         if 5 <= k < 8:
             given["push"] = np.nan
         if 6 <= k < 9:
             del given["direction"]
-        one, other = told.step(row, known=by_name(signals)), held.step(row, known=given or None)
+        one = told.step(row, known=by_name(signals))
+        other = held.step(row, known=given or None)
         np.testing.assert_array_equal(one.x, other.x)
 
 
@@ -148,7 +150,8 @@ def test_a_refused_call_keeps_none_of_its_signals(make):
     fits = dict(push=9.0, direction=9.0)
     refused = [(row, fits | dict(direction="left")) for row in z[:1]]
     refused += [(bad, fits) for bad in (("one", 2.0), (1.0, 2.0, 3.0))]
-    one, other = make(), make()
+    one = make()
+    other = make()
     for k, (row, signals) in enumerate(zip(z, known)):
         given = None if k == 4 else by_name(signals)
         for bad, with_it in refused:
@@ -158,7 +161,8 @@ def test_a_refused_call_keeps_none_of_its_signals(make):
 
 
 def test_a_controller_holds_signals_and_keeps_none_of_a_refused_call():
-    told, held = pushed_rhc(), pushed_rhc()
+    told = pushed_rhc()
+    held = pushed_rhc()
     for push in ([0.1] * 8, None, np.nan):
         given = None if push is None else dict(push=push)
         one = told.step((1.0, 0.0), known=dict(push=0.1))

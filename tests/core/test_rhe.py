@@ -107,6 +107,7 @@ def test_where_positions_have_moved_for_good_it_begins_anew_as_if_nothing_slips(
     _, z = drive((0.0, 0.0, 0.0, 0.5, 0.6, 0.5), weaving_yaw_rates(12 * N))
     z[-N:, 0] += 100.0
     estimates = feed(rhec.RHE(guess=GUESS, process_noise="prediction"), z)
-    before, moved = estimates[-N - 1], estimates[-N + 3]
+    before = estimates[-N - 1]
+    moved = estimates[-N + 3]
     assert (before.mu, before.kappa) == pytest.approx((0.6, 0.5), abs=0.15)
     assert (moved.mu, moved.kappa) == pytest.approx((1, 1), abs=0.02)

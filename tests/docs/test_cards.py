@@ -129,7 +129,8 @@ def test_places_on_the_scale_are_linear_in_the_numbers_and_fill_the_picture(row)
         assert min(places) + max(places) == pytest.approx(360, abs=0.2)
         assert 26 < min(places) < 42
     # Where the claim holds reaches from bound to bound, or to an edge.
-    (begin, width), limits = drawn["inside"], dict(zip(bounds, drawn["limits"]))
+    (begin, width) = drawn["inside"]
+    limits = dict(zip(bounds, drawn["limits"]))
     expected = limits.get(row["above"], 14), limits.get(row["below"], 346)
     assert (begin, begin + width) == pytest.approx(expected)
     # Ticks are round, and their characters, about 6 wide, stand apart.

@@ -54,7 +54,8 @@ def soil_of(world, data, scenario, kind):
     steps = apart.cumsum(axis=1, dtype=np.uint16).cumsum(axis=2, dtype=np.uint16)
     field = world["fields"][scenario.turns]
     beyond_m = field["margin_m"] + abs(scenario.start_offset_m)
-    corner, end = np.subtract(field["lowest"], beyond_m), np.add(field["highest"], beyond_m)
+    corner = np.subtract(field["lowest"], beyond_m)
+    end = np.add(field["highest"], beyond_m)
     rows, columns = np.ceil((end - corner) / world["cell_m"]).astype(int) + 1
     own = world["traction_step"] * steps[:, :rows, :columns]
     return np.pad(own, ((0, 0), (0, n_x - rows), (0, n_y - columns)), "edge"), corner
@@ -72,14 +73,16 @@ def test_what_the_page_loads_drives_as_simulate_does(
 ):
     """To what 16 bits of noise and soil leave; here Python fills the arrays, as scripts do."""
     monkeypatch.setattr(wasm, "module_of", str.encode)
-    world, data = page._world(), page.seed_data(seed)
+    world = page._world()
+    data = page.seed_data(seed)
     made = json.loads(json.dumps(page._module(page.STRUCTURES[name]), allow_nan=False))
     rule = "consistent"
     own = made["line"] | START | page.SOILS[kind] | dict(turns=turns, seed=seed)
     faults = eval(world["faults"][fault], dict(rhec=rhec))
     scenario = rhec.Scenario(**own, faults=faults, process_noise=rule, duration_s=60.0)
     run = rhec.simulate(scenario)
-    n, field = len(run.log), world["fields"][turns]
+    n = len(run.log)
+    field = world["fields"][turns]
     noise = world["noise"]["step"] * unpack(data["noise"], np.int16)
     stream = unpack(data["faults"][fault], float).reshape(-1, world["n_fault"])
     noise = np.hstack([noise.reshape(-1, world["noise"]["n"]), stream])
@@ -254,7 +257,8 @@ def story():
         patch.setattr(wasm, "module_of", lambda text: b"")
         patch.setattr(window, "build_tools", lambda scenario: tools)
         made = page._tools()
-    setup, run = closed_loop.set_up(scenario), rhec.simulate(scenario)
+    setup = closed_loop.set_up(scenario)
+    run = rhec.simulate(scenario)
     z = np.column_stack([run.columns[name] for name in MEASUREMENTS])
     # The memory of the check of positions follows.
     memory = setup.memory[made["first"] :][: tools["shift"].size1_in("memory")]
@@ -263,7 +267,8 @@ def story():
 
 def test_shift_and_solve_are_a_sample_of_the_rhe(story):
     """Their estimates are those of the run; without bounds they may leave 0 to 1."""
-    tools, memory = story.tools, story.memory
+    tools = story.tools
+    memory = story.memory
     pieces = story.setup.unpack(story.setup.memory)["estimator"]
     for name, places in story.made["places"].items():
         np.testing.assert_array_equal(memory[places], np.atleast_2d(pieces[name].T), name)
@@ -273,7 +278,8 @@ def test_shift_and_solve_are_a_sample_of_the_rhe(story):
         memory = tools["shift"](memory=memory, V=given["V"], W=story.setup.settings["W"])["memory"]
         free = tools["free"](memory=memory, z_N=z_N, **given)["estimate"].full().ravel()
         found = tools["solve"](memory=memory, z_N=z_N, **given)
-        memory, estimate = found["memory"], found["estimate"].full().ravel()
+        memory = found["memory"]
+        estimate = found["estimate"].full().ravel()
         expected = [story.run.columns[name][k] for name in ESTIMATE]
         np.testing.assert_allclose(estimate, expected, atol=1e-9)
         beyond += free[5] > 1 + 1e-6

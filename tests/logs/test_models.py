@@ -89,7 +89,9 @@ def test_arguments_of_a_models_replay():
 
 # Calibration, by a log with known noise and parameters
 
-MU, KAPPA, DT_S = 0.9, 0.8, 0.25
+MU = 0.9
+KAPPA = 0.8
+DT_S = 0.25
 SIGMA_V = (0.03, 0.03, 0.04, 0.02)
 MODEL = rhec.Model(
     states=("x_m", "y_m", "theta_rad"),

@@ -133,11 +133,13 @@ def test_a_delay_of_a_fraction_of_a_row_is_made_up_for(delay_s):
 def test_a_silence_keeps_the_traction_and_the_yaw(silence_s):
     """While the robot stands the log is off: after it, nothing begins anew."""
     stands = EXAMPLE.query("segment == 0 and 33.9 < t_s < 34.6").index
-    before, after = EXAMPLE[: stands[0]], EXAMPLE[stands[-1] : stands[-1] + 200]
+    before = EXAMPLE[: stands[0]]
+    after = EXAMPLE[stands[-1] : stands[-1] + 200]
     after = after.assign(t_s=after["t_s"] + silence_s)
     result = rhec.replay(pd.concat([before, after], ignore_index=True), smooth=False)
     assert result["segment"].nunique() == 1 and np.isfinite(result[ESTIMATE]).all(axis=None)
-    last, first = result.iloc[len(before) - 1], result.iloc[len(before) + 2]
+    last = result.iloc[len(before) - 1]
+    first = result.iloc[len(before) + 2]
     assert abs(first["mu_hat"] - last["mu_hat"]) < 0.02
     assert abs(first["kappa_hat"] - last["kappa_hat"]) < 0.05
     assert first["sigma_kappa"] < 0.5 * result["sigma_kappa"].iloc[0]

@@ -92,7 +92,8 @@ def test_an_interpretation_is_compared_with_the_baseline_at_equal_seeds(monkeypa
     for name, result in results.items():
         for column, quantity in interpretations.QUANTITIES.items():
             row = table.loc[(name, quantity)]
-            value, moved = result[column], result[column] - results["baseline"][column]
+            value = result[column]
+            moved = result[column] - results["baseline"][column]
             for of, ends in ((value, "value low high"), (moved, "change change_low change_high")):
                 half = 4.303 * of.std() / 3**0.5
                 low = of.mean() - half

@@ -26,7 +26,8 @@ class Judged(NamedTuple):
     has_sign: bool = False  # whether it is that of the mirrored samples with the other sign
 
 
-MEAN, GAIN = ONE.mean(), (ONE - OTHER).mean()
+MEAN = ONE.mean()
+GAIN = (ONE - OTHER).mean()
 FLAGS, ORACLE = ONE_LOST
 RULES = {
     "mean": Judged(statistics.mean, (ONE,), MEAN, BOUNDS, True, True),

@@ -131,7 +131,8 @@ def own_log():
     x[:, 1:2] -= early
     slips = np.tile([0.1, 0.2], (n, 1))
     u = np.full((n, 2), 0.5)
-    u[:3, 0], u[3, 1] = 0.7, 0.0
+    u[:3, 0] = 0.7
+    u[3, 1] = 0.0
     return dict(
         x=x,
         z=np.hstack([x, u]) + 0.1,

@@ -82,7 +82,8 @@ def test_scenario_a_has_the_means_of_its_drives_and_judges_their_ratios():
     by_weight = sweep.groupby("weight")
     for column, quantity in scenario_tables._QUANTITIES_A.items():
         for weight in weights:
-            of, row = by_weight[column].get_group(weight), table.loc[(weight, quantity)]
+            of = by_weight[column].get_group(weight)
+            row = table.loc[(weight, quantity)]
             assert (row["mean"], row["p95"]) == pytest.approx((of.mean(), of.quantile(0.95)))
     for factor, verdict in ((2.5, "holds"), (2.0, "undecided"), (1.5, "does not hold")):
         slow, swings = (np.where(sweep["weight"] == q, factor, 1) for q in ("Q1", "Q2"))

@@ -116,7 +116,8 @@ def strip(mu=(0.6, 0.9), kappa=(0.5, 0.8), start=-10.0, end=46.0, cell=0.5, edge
 
 DRAW = np.random.default_rng(3)
 HARD = DRAW.normal(size=40)
-ONE, OTHER = HARD + 0.1 * DRAW.normal(size=40), HARD + 0.1 + 0.1 * DRAW.normal(size=40)
+ONE = HARD + 0.1 * DRAW.normal(size=40)
+OTHER = HARD + 0.1 + 0.1 * DRAW.normal(size=40)
 GAIN = ONE - OTHER
 MEAN = GAIN.mean()
 HALF = 1.96 * GAIN.std(ddof=1) / np.sqrt(40)
@@ -178,7 +179,8 @@ def test_a_wrong_answer_is_told_why_and_any_right_one_is_accepted(check, given, 
 
 @pytest.mark.nightly
 def test_an_estimator_that_is_no_better_than_the_first_has_not_learnt():
-    memory, z = ca.SX.sym("memory", 6), ca.SX.sym("z", 4)
+    memory = ca.SX.sym("memory", 6)
+    z = ca.SX.sym("z", 4)
     estimate = ca.vertcat(z[:2], memory[2] + 0.8 * DT * z[3], z[2], 0.9, 0.8)
     first = ca.Function("first", [memory, z], [estimate, estimate])
     answer = tutorial_checks.estimator(first, first)

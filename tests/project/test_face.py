@@ -245,7 +245,8 @@ def test_every_estimator_and_controller_has_the_same_verbs(name):
 def test_a_first_mistake_is_told_what_to_write_instead():
     with no_compiler():
         rhc = rhec.RHC(**CONTROLLED)
-    x, p = (0.0,), (0.1, 0.0)
+    x = (0.0,)
+    p = (0.1, 0.0)
     for call, error, sentence in (
         (lambda: rhec.Fault(), ValueError, "^kind was not given; Fault needs it"),
         (lambda: rhec.EKF(sigma=1), ValueError, "^EKF has no parameter 'sigma'; did you mean 'sig"),

@@ -35,7 +35,9 @@ def the_world() -> None:
 
 
 def a_loop_of_ones_own(path: rhec.Path) -> None:
-    rhe, rhc, tracker = rhec.RHE(), rhec.RHC(), rhec.PathTracker(path)
+    rhe = rhec.RHE()
+    rhc = rhec.RHC()
+    tracker = rhec.PathTracker(path)
     estimate = rhe.feedback((0.0, 0.0, 0.5, 0.0))
     xi_ref, omega_ref = assert_type(tracker.references(estimate, 0.0), tuple[Array, Array])
     assert_type(rhc.feedback(estimate.pose, estimate.p, xi_ref, omega_ref), float)

@@ -46,7 +46,8 @@ def test_a_longer_run_begins_like_a_shorter_one(run, duration_s):
 
 def test_a_seed_is_a_soil_and_its_noise_whatever_the_estimator(run):
     """In a world whose drives differ by more than a millimetre; another seed is another noise."""
-    oracle, other = simulated(estimator="oracle"), simulated(seed=1)
+    oracle = simulated(estimator="oracle")
+    other = simulated(seed=1)
     np.testing.assert_array_equal(oracle.terrain.kappa, run.terrain.kappa)
     assert np.abs(run.terrain.kappa - other.terrain.kappa).mean() > 0.01
     assert np.abs(run.log["x_m"] - oracle.log["x_m"]).max() > 1e-3

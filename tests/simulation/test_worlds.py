@@ -11,7 +11,8 @@ pytestmark = pytest.mark.usefixtures("virtual_machine")
 
 def test_a_world_is_what_differs_from_the_default():
     for name, world in rhec.WORLDS.items():
-        scenario, default = rhec.Scenario(**world), rhec.Scenario()
+        scenario = rhec.Scenario(**world)
+        default = rhec.Scenario()
         assert all(getattr(scenario, of) != getattr(default, of) for of in world), name
 
 

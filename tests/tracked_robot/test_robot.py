@@ -167,7 +167,8 @@ def of_a_circle(omega_radps, sigma_gyro, speed_model):
 @pytest.mark.parametrize("omega_radps", [0.3, -0.1])
 def test_noise_of_a_gyro_in_proportion_to_a_constant_yaw_rate_is_constant_noise(omega_radps):
     """Where tracks slip; other speed models have the constant part alone, as Scenario says."""
-    sigma, share = 0.01, 0.2
+    sigma = 0.01
+    share = 0.2
     alike = dict(slipping=(np.hypot(sigma, share * omega_radps), 0.0), parameter=(sigma, 0.0))
     for speed_model, constant in alike.items():
         one, of_one = of_a_circle(omega_radps, (sigma, share), speed_model)
